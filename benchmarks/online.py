@@ -25,9 +25,10 @@ from stable_baselines3.common.logger import Logger
 
 from animarl_algos.cli.run import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.evaluation.acting_choice import compared
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.realism import WEIGHTS, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import load_checkpoint, save_checkpoint
@@ -42,8 +43,7 @@ from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.worlds import make_world
 
 ROLLOUTS = 200
-HEADINGS = ("", "duration, s", "reached", "path", "median speed", "outcome", "duration", "path",
-            "speed", "all four")  # fmt: skip
+HEADINGS = ("", "duration, s", "reached", "path", "median speed", *WEIGHTS, "all")
 
 
 def demonstrations(name: str) -> Demonstrations:
@@ -85,8 +85,8 @@ def acted(model: SequenceQLearning, scenario: Scenario, seed: int) -> Rollouts:
     )
 
 
-def described(label: str, rollouts: Rollouts, recorded: Rollouts) -> list[str]:
-    """Means, then the distances to the recordings by which an acting rule is chosen."""
+def described(label: str, rollouts: Rollouts, realism: Likelihood | None = None) -> list[str]:
+    """Means, then log likelihoods of the recordings, by which an acting rule is chosen."""
     means = (
         ((rollouts.lengths - 1) * rollouts.dt).mean(),
         (rollouts.outcome > 0).mean(),
@@ -94,11 +94,11 @@ def described(label: str, rollouts: Rollouts, recorded: Rollouts) -> list[str]:
         np.median(rollouts.speeds()),
     )
     cells = [label, *(f"{value:.3g}" for value in means)]
-    if rollouts is recorded:
-        return [*cells, *("" for _ in range(5))]
-    far = compared(label, rollouts, recorded)
-    distances = (*list(far.distances.values())[:4], far.mismatch)
-    return [*cells, *(f"{value:.2f}" for value in distances)]
+    if realism is None:
+        return [*cells, *("" for _ in (*WEIGHTS, "all"))]
+    found = realism.components(rollouts)
+    kinds = realism.by_kind(found) | {"all": float(np.nanmean(realism.total(found)))}
+    return [*cells, *(f"{kinds[kind]:.2f}" if kind in kinds else "" for kind in (*WEIGHTS, "all"))]
 
 
 def main(
@@ -117,11 +117,11 @@ def main(
         demos = demonstrations(name)
         scenario = make_scenario(species_of(demos), demos=demos, split="val")
         assert scenario.demos is not None
-        recorded = Rollouts.from_demonstrations(scenario.demos)
-        lines = [described("demonstrated", recorded, recorded)]
+        realism = Likelihood.of(Prepared(scenario.demos))
+        lines = [described("demonstrated", realism.prepared.recorded)]
         for number in seed or [0]:
             lines += before_and_after(
-                demos, algo, number, parse_settings(settings), steps, rate, scenario, recorded
+                demos, algo, number, parse_settings(settings), steps, rate, scenario, realism
             )
         table = Table(title=f"{algo}, {demos.name}, {steps} steps online")
         for heading in HEADINGS:
@@ -139,7 +139,7 @@ def before_and_after(
     steps: int,
     rates: list[float] | None,
     scenario: Scenario,
-    recorded: Rollouts,
+    realism: Likelihood,
 ) -> list[list[str]]:
     """A line for the offline phase, and one for each rate of the online phase after it."""
     lines = []
@@ -149,7 +149,7 @@ def before_and_after(
         model.pretrain()
         save_checkpoint(model, folder)
         label = f"seed {seed}: offline, {time.process_time() - begun:.0f} s"
-        lines.append(described(label, acted(model, scenario, seed), recorded))
+        lines.append(described(label, acted(model, scenario, seed), realism))
         for rate in rates or [None]:
             begun = time.process_time()
             over = {} if rate is None else {"learning_rate": rate}
@@ -157,7 +157,7 @@ def before_and_after(
             load_checkpoint(model, folder)
             model.learn(steps, reset_num_timesteps=False)
             label = f"seed {seed}: {model.learning_rate:g}, {time.process_time() - begun:.0f} s"
-            lines.append(described(label, acted(model, scenario, seed), recorded))
+            lines.append(described(label, acted(model, scenario, seed), realism))
     return lines
 
 

@@ -17,12 +17,14 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.matrix import claim_folder, plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell, Done, Piece
-from animarl_algos.evaluation.acting_choice import compared
 from animarl_algos.evaluation.collect import collect_rollouts
-from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.realism import Likelihood
 from animarl_algos.runs.pipeline import evaluate_run
 from animarl_algos.runs.pretrained import FOLDER, METRICS, export_run
 from animarl_algos.runs.run import Run
@@ -50,7 +52,7 @@ class Printed(Watch):
 
 
 def validation_mismatch(run: Run) -> float:
-    """How far rollouts from validation starts are from the validation recordings."""
+    """How unlikely the validation recordings are under rollouts from their starts."""
     algo = run.settings.algo
     model = run.trained(algo)
     model.policy.seed(run.settings.seed)
@@ -62,8 +64,8 @@ def validation_mismatch(run: Run) -> float:
         repetitions=REPETITIONS,
         cue="actual" if model.layout.condition_flag else None,
     )
-    recorded = Rollouts.from_demonstrations(run.demos.select(split="val"))
-    return compared(algo, rollouts, recorded).mismatch
+    realism = Likelihood.of(Prepared(run.demos.select(split="val")))
+    return -float(np.nanmean(realism.total(realism.components(rollouts))))
 
 
 def make(

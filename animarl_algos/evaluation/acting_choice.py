@@ -1,32 +1,29 @@
-"""How a trained policy should act: chosen by what its rollouts do, beside what was recorded.
+"""How a trained policy should act: chosen by how likely its rollouts make what was recorded.
 
 Candidates are Boltzmann sampling at temperature 1, which a clone's logits mean, and at shares of
 the temperatures that fit the demonstrated actions best, and the greedy rule; where none of them
 comes near, also sampling at one share for how hard and another for which way. Each is rolled out
-from the starts of training and validation episodes, never of a test episode, and compared by
-outcome, duration, path length, speed, rest and the memory of turns; where nobody is pursued, also
-by what the verdict judges of a group or of one animal alone. Not by the DTW distance, which
-hardly tells good simulators from bad ones. Rollouts stop where their recording merely stops.
+from the starts of training and validation episodes, never of a test episode, and judged by the
+likelihoods of the realism score (:mod:`animarl_algos.evaluation.realism`): motion, order in time,
+reactions, place and endings. Rollouts stop where their recording merely stops. They are made in
+rounds, with other random numbers each, until two halves of the rounds choose the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
-from animarl_algos.evaluation.metrics import judged_metrics, path_lengths
-from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
-from animarl_algos.evaluation.prepared import censored
-from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.windows import resting_step
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.realism import Likelihood
+from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.networks.acting_rule import Acting
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.base import World
 
@@ -34,50 +31,47 @@ COOLER = (1.0, 0.85, 0.7, 0.5, 0.35)
 """Shares of the fitted temperatures that are tried: a clone that is unsure samples too widely."""
 APART = tuple((thrust, way) for way in (0.7, 0.5, 0.35) for thrust in (0.7, 0.3))
 """Shares for how hard and for which way, of the fitted temperatures."""
-NEAR = 0.3
-"""Mismatch up to which nothing further is tried: rollouts take time."""
-MARGIN = 0.1
-"""Mismatch by which another must beat the first: rollouts anew move it by some hundredths."""
-MOST_STARTS, ROLLOUTS = 200, 400
-WEIGHT = 4.0  # of rest and order: .05 of either weighs as a fifth of the duration
-SPEEDS = 400  # quantiles by which two distributions of speed are compared
+MARGIN = 2.0
+"""Standard errors over recordings by which another rule must beat the first, or a rule the best to
+be rolled out again."""
+MOST_STARTS, ROLLOUTS = 50, 400  # ROLLOUTS a round: scores need several from each start
+MOST_ROUNDS = 6
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An acting rule, and how far its rollouts are from the recordings.
+    """An acting rule, and how likely its rollouts make the recordings.
 
-    Of the ``distances``, ``outcome`` is the total variation distance of the shares of outcomes;
-    the others are Wasserstein distances in units of the recorded mean, ``speed`` that of all steps,
-    as the mean over individuals. ``rest`` is the difference of the shares of steps at rest and
-    ``order`` that of the autocorrelation of turns (circles have one), each times ``WEIGHT``.
-    ``together`` is, of a group or one animal alone, the mean difference of the metrics that are
-    about it (:mod:`animarl_algos.evaluation.metrics`): relative, or times ``WEIGHT`` without unit.
+    ``score`` is the mean log likelihood, ``kinds`` that of each kind of component; ``behind`` is by
+    how many standard errors over recordings the score is below the best one, and ``rounds`` how
+    often the rule was rolled out.
     """
 
     acting: str
-    distances: Mapping[str, float]
-
-    @property
-    def mismatch(self) -> float:
-        """Their sum: the lower, the more alike."""
-        return sum(self.distances.values())
+    score: float
+    kinds: Mapping[str, float]
+    behind: float
+    rounds: int
 
 
 @dataclass(frozen=True)
 class ActingChoice:
-    """The rule that was chosen, and the candidates it was chosen from."""
+    """The rule that was chosen, and the candidates it was chosen from.
+
+    ``others`` is the score of other recordings in place of rollouts, which a simulator that starts
+    where the recording did should reach; ``short`` is by how many standard errors the chosen rule
+    misses it. ``repeats``: two halves of the rounds chose the same.
+    """
 
     acting: Acting
     candidates: tuple[Candidate, ...]
+    others: float
+    short: float
+    repeats: bool
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        rows = [
-            {"acting": each.acting, **each.distances, "mismatch": each.mismatch}
-            for each in self.candidates
-        ]
-        return {"acting": self.acting.to_json(), "candidates": rows}
+        return asdict(self) | {"acting": self.acting.to_json()}
 
 
 def candidate_rules(temperatures: ArrayLike) -> list[Acting]:
@@ -114,7 +108,7 @@ def choice_episodes(demos: Demonstrations, seed: int) -> Demonstrations:
 
 
 def choose_acting(
-    policy_for: Callable[[Acting], Policy],
+    policy_for: Callable[[Acting, int], Policy],
     make_world: Callable[[int], World],
     demos: Demonstrations,
     rules: Sequence[Acting],
@@ -123,82 +117,79 @@ def choose_acting(
     seed: int,
     cue: Cue | None = None,
 ) -> ActingChoice:
-    """The rule whose rollouts are most like the recordings.
+    """The rule under whose rollouts the recordings are likeliest.
 
     Parameters
     ----------
     policy_for
-        The policy, acting by a rule, its draws seeded.
+        The policy, acting by a rule, its draws seeded by a number.
     make_world
         Of the episodes ``demos``; see :func:`animarl_algos.evaluation.collect.collect_rollouts`.
     demos
         Training and validation episodes, see :func:`choice_episodes`.
     rules
-        To choose among: the first of them, unless its mismatch is more than ``MARGIN`` above the
-        least; then the rule with the least. The others were fitted to few validation animals, and
-        the best of a dozen is lucky.
+        To choose among: the first of them, unless the best is better by more than ``MARGIN``
+        standard errors; then the best. The others were fitted to few validation animals, and the
+        best of a dozen is lucky.
     further
-        To try as well where the mismatch of all ``rules`` is above ``NEAR``.
+        To try as well where all ``rules`` fall short of other recordings.
     seed, cue
         Of the worlds, and what policies are told of the condition.
     """
-    recorded = Rollouts.from_demonstrations(demos)
+    realism = Likelihood.of(Prepared(demos))
     repetitions = max(1, round(ROLLOUTS / demos.num_episodes))
-    candidates: list[Candidate] = []
-    for number, rule in enumerate((*rules, *further)):
-        if number == len(rules) and min(each.mismatch for each in candidates) <= NEAR:
-            break
-        simulated = collect_rollouts(
-            make_world, policy_for(rule), method="candidate", seed=seed, repetitions=repetitions,
-            cue=cue,
-        )  # fmt: skip
-        candidates.append(compared(str(rule), simulated, recorded))
-    mismatches = [each.mismatch for each in candidates]
-    stays = mismatches[0] <= min(mismatches) + MARGIN
-    chosen = 0 if stays else int(np.argmin(mismatches))
-    return ActingChoice((*rules, *further)[chosen], tuple(candidates))
+    others = realism.of_others(repetitions, np.random.default_rng(seed))
+    tried: dict[Acting, list[Floats]] = {rule: [] for rule in rules}
+    behind, alive, number, repeats = dict[Acting, float](), list(rules), 0, False
+    first = chosen = rules[0]
+
+    def above(better: Floats, worse: Floats) -> float:
+        return errors_above(realism.total(better) - realism.total(worse), demos.recording)
+
+    def chosen_by(rounds: slice) -> Acting:
+        """The best of these rounds; how far others are behind it stays in ``behind``."""
+        found = {rule: np.mean(tried[rule][rounds], axis=0) for rule in alive}
+        best = max(alive, key=lambda rule: float(np.nanmean(realism.total(found[rule]))))
+        behind.update({rule: above(found[best], each) for rule, each in found.items()})
+        return first if behind[first] <= MARGIN else best
+
+    while number < MOST_ROUNDS and not repeats:
+        own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+        waiting = [*alive, *(further if number == 0 else ())]
+        for place, rule in enumerate(waiting):
+            if number == 0 and place == len(rules):
+                near = min(above(others, each[0]) for each in tried.values()) <= MARGIN
+                if near:
+                    break
+            simulated = collect_rollouts(
+                make_world, policy_for(rule, own), method="candidate", seed=own,
+                repetitions=repetitions, cue=cue,
+            )  # fmt: skip
+            tried.setdefault(rule, []).append(realism.components(simulated))
+        number, alive = number + 1, list(tried) if number == 0 else alive
+        if number > 1:
+            repeats = chosen_by(slice(0, None, 2)) == chosen_by(slice(1, None, 2))
+        chosen = chosen_by(slice(None))
+        alive = [rule for rule in alive if rule == first or behind[rule] <= MARGIN]
+        repeats |= len(alive) == 1
+    means = {rule: np.mean(each, axis=0) for rule, each in tried.items()}
+    found = tuple(
+        Candidate(
+            str(rule), float(np.nanmean(realism.total(each))), realism.by_kind(each), behind[rule],
+            len(tried[rule]),
+        )
+        for rule, each in means.items()
+    )  # fmt: skip
+    score = float(np.nanmean(realism.total(others)))
+    return ActingChoice(chosen, found, score, above(others, means[chosen]), repeats)
 
 
-def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
-    """How far rollouts are from recordings, by what an acting rule is chosen for."""
-    simulated = censored(simulated, recorded)
-    # A recording that was cut went on, as a rollout does that time ends.
-    ends = [np.where(r.outcome == UNFINISHED, TIME_OUT, r.outcome) for r in (simulated, recorded)]
-    known = np.union1d(*ends)
-    shares = [np.array([(each == outcome).mean() for outcome in known]) for each in ends]
-    duration = [(r.lengths - 1) * r.dt for r in (simulated, recorded)]
-    path = [path_lengths(r)[:, r.movers].mean(axis=1) for r in (simulated, recorded)]
-    levels = (np.arange(SPEEDS) + 0.5) / SPEEDS
-    speeds = [np.quantile(r.speeds(), levels, axis=0) for r in (simulated, recorded)]
-    still = resting_step(recorded)
-    lags = lags_for(median_steps(recorded), recorded.dt)
-    order_of = [order_measures(r, lags, still) for r in (simulated, recorded)]
-    rest, turns = (
-        np.subtract(*(one.mean(name) for one in order_of))
-        for name in ("share at rest", "turn autocorrelation")
-    )
-    rest, order = (WEIGHT * np.nan_to_num(np.abs(each)).mean() for each in (rest, turns))
-    distances = {
-        "outcome": 0.5 * np.abs(shares[0] - shares[1]).sum(),
-        "duration": relative_distance(*duration),
-        "path_length": relative_distance(*path),
-        "speed": np.mean([relative_distance(a, b) for a, b in zip(speeds[0].T, speeds[1].T)]),
-        "rest": rest,
-        "order": order,
-    }
-    if alike := [metric for metric in judged_metrics(recorded) if metric.of_order]:
-        gaps = []
-        for metric in alike:
-            drawn, true = (float(one.mean(metric.of_order).mean()) for one in order_of)
-            scale = abs(true) if metric.unit else 1 / WEIGHT
-            gaps.append(abs(drawn - true) / scale if scale > 0 else 0.0)
-        distances["together"] = np.nan_to_num(gaps).mean()
-    return Candidate(name, {key: float(value) for key, value in distances.items()})
-
-
-def relative_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:
-    """Wasserstein distance over the recorded mean."""
-    from scipy.stats import wasserstein_distance
-
-    scale = float(np.abs(np.asarray(recorded)).mean())
-    return float(wasserstein_distance(simulated, recorded)) / scale if scale > 0 else 0.0
+def errors_above(difference: Floats, recording: NDArray[np.str_]) -> float:
+    """Return the mean ``(starts,)`` in standard errors over recordings; 0 where there is one."""
+    known = np.isfinite(difference)
+    names, member = np.unique(recording[known], return_inverse=True)
+    if len(names) < 2:
+        return 0.0
+    each = np.bincount(member, difference[known]) / np.bincount(member)
+    error = each.std(ddof=1) / np.sqrt(len(each))
+    return float(each.mean() / error) if error > 0 else 0.0

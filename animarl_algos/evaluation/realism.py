@@ -90,6 +90,67 @@ class Realism:
     score: Interval
 
 
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """How likely recordings are under rollouts, component by component.
+
+    ``truth`` are the components of the recordings, ``limits`` between which bins of each lie.
+    """
+
+    prepared: Prepared
+    truth: tuple[Component, ...]
+    limits: tuple[tuple[float, float], ...]
+
+    @classmethod
+    def of(cls, prepared: Prepared, pool: Rollouts | None = None) -> Likelihood:
+        """Return that of the prepared recordings; limits are those of ``pool``, or of them."""
+        truth = tuple(_components(prepared, prepared.recorded))
+        of_pool = truth if pool is None else _components(prepared, pool)
+        return cls(prepared, truth, tuple(_limits(one.values) for one in of_pool))
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the components."""
+        return [*(one.name for one in self.truth), "outcome", "duration"]
+
+    @property
+    def kinds(self) -> NDArray[np.str_]:
+        """Kinds of the components."""
+        return np.array([*(one.kind for one in self.truth), ENDING, ENDING])
+
+    def matrix(self, side: Rollouts, start: Ints) -> Floats:
+        """Log likelihoods ``(components, recordings)`` under rollouts from ``start``."""
+        recorded = self.prepared.recorded
+        rows = [
+            _likelihood(true, other, limit, start, len(recorded))
+            for true, other, limit in zip(self.truth, _components(self.prepared, side), self.limits)
+        ]
+        return np.log(np.stack([*rows, *_endings(recorded, side, start)]))
+
+    def components(self, rollouts: Rollouts) -> Floats:
+        """Log likelihoods under rollouts, which stop where their recording merely stops."""
+        counted = self.prepared.counted(rollouts)
+        return self.matrix(counted, counted.demo)
+
+    def of_others(self, repetitions: int, rng: np.random.Generator) -> Floats:
+        """Log likelihoods under so many other recordings in place of rollouts; of one: its own."""
+        recorded = self.prepared.recorded
+        start = np.repeat(np.arange(len(recorded)), repetitions)
+        drawn = _others(len(recorded), start, True, rng)
+        return self.matrix(recorded.select(drawn if len(drawn) else start), start)
+
+    def total(self, matrix: Floats) -> Floats:
+        """Weighted mean over components, ``(recordings,)``."""
+        return _weighted(matrix, _weights(self.kinds, matrix))
+
+    def by_kind(self, matrix: Floats) -> dict[str, float]:
+        """Mean of each kind that is defined."""
+        means = {kind: matrix[self.kinds == kind] for kind in WEIGHTS if kind in self.kinds}
+        return {
+            kind: float(np.nanmean(each)) for kind, each in means.items() if np.isfinite(each).any()
+        }
+
+
 def realism(
     prepared: Prepared,
     rollouts: Rollouts,
@@ -115,30 +176,22 @@ def realism(
     import pandas as pd
 
     recorded, recording = prepared.recorded, prepared.demos.recording
-    truth = list(_components(prepared, recorded))
     pool = recorded if references is None else references
-    of_pool = truth if references is None else _components(prepared, pool)
-    limits = [_limits(one.values) for one in of_pool]
+    likelihood = Likelihood.of(prepared, references)
     starts = np.unique(rollouts.demo)
-    per_start = max(1, round(len(rollouts) / len(starts)))
+    repeated = np.repeat(starts, max(1, round(len(rollouts) / len(starts))))
 
     def score(side: Rollouts, start: Ints) -> Floats:
-        rows = [
-            _likelihood(true, other, limit, start, len(recorded))
-            for true, other, limit in zip(truth, _components(prepared, side), limits)
-        ]
-        return np.stack([*rows, *_endings(recorded, side, start)])[:, starts]
+        return np.exp(likelihood.matrix(side, start)[:, starts])
 
     columns = {"score": score(rollouts, rollouts.demo)}
-    repeated = np.repeat(starts, per_start)
     columns[CEILING] = score(recorded.select(repeated), repeated)
     drawn = _others(len(pool), repeated, references is None, rng)
     if len(drawn):
         columns[OTHERS] = score(pool.select(drawn), repeated)
     if random is not None:
         columns[RANDOM] = score(random, random.demo)
-    names = [one.name for one in truth] + ["outcome", "duration"]
-    kinds = np.array([one.kind for one in truth] + [ENDING, ENDING])
+    names, kinds = likelihood.names, likelihood.kinds
     weights = _weights(kinds, columns["score"])
     group = np.unique(recording[starts], return_inverse=True)[1]
     levels = [(name, kinds[i], np.arange(len(kinds)) == i) for i, name in enumerate(names)]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.acting_choice import NEAR
+from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -171,17 +171,23 @@ def uninformative_clones(run: Run) -> list[str]:
 
 
 def far_acting_rules(run: Run) -> list[str]:
-    """Return whether no candidate of the acting rules came near the recordings, as one sentence."""
+    """Return whether no acting rule came near the recordings, and whether the choice repeats."""
     file = run.acting_file(run.settings.algo)
     if not file.exists():
         return []
-    least = min(one["mismatch"] for one in json.loads(file.read_text())["candidates"])
-    if least <= NEAR:
-        return []
-    return [
-        f"No candidate of the acting rules came near the recordings (mismatch {least:.2f} on "
-        f"training and validation episodes, {NEAR:g} is near): treat the simulator with care."
-    ]
+    choice, found = json.loads(file.read_text()), []
+    if choice.get("short", 0.0) > MARGIN:  # models that were made before do not say
+        found.append(
+            "No candidate of the acting rules came as near to a recording as other recordings do "
+            f"({choice['short']:.1f} standard errors short, on training and validation episodes): "
+            "treat the simulator with care."
+        )
+    if not choice.get("repeats", True):
+        found.append(
+            "The choice of the acting rule did not repeat with other random numbers: candidates "
+            "are as near, or there are too few recordings to tell."
+        )
+    return found
 
 
 # -- several runs ---------------------------------------------------------------------------------

@@ -439,9 +439,9 @@ class Run:
         seed = self.settings.seed
         demos = choice_episodes(self.learnable_demos, seed)
 
-        def acting_by(rule: Acting) -> Policy:
+        def acting_by(rule: Acting, own_seed: int) -> Policy:
             model.policy.acting = rule
-            model.policy.seed(seed)
+            model.policy.seed(own_seed)
             return self.for_all(model)
 
         fitted = model.fit_temperature(model.demonstration_data().val)

@@ -64,6 +64,9 @@ def world_in_words(species: Species) -> dict[str, str]:
         "time limit": f"{species.time_limit} steps ({species.time_limit * species.dt:g} s)",
         "time step": f"{species.dt:g} s",
         "warm-up": f"{species.warmup} steps",
+        "mirror images": "as likely as the recordings"
+        if species.mirror_symmetric
+        else "not used: left and right are not alike in the recordings",
     } | {
         f"locomotion of {name}": f"d {motion.damping:.4g}, u {motion.thrust:.4g}, thrusts "
         + ", ".join(f"{m:g}" for m in motion.magnitudes)

@@ -26,7 +26,7 @@ from animarl_envs.demos.episode import HEADING
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
-from animarl_envs.focus import distances_to_target, is_free, lone_pursuer
+from animarl_envs.focus import distances_to_target, focus_directions, is_free, lone_pursuer
 from animarl_envs.locomotion import Locomotion, check_thrusts
 from animarl_envs.species import (
     CUSTOM,
@@ -38,11 +38,12 @@ from animarl_envs.species import (
     get_species,
 )
 from animarl_envs.species.options import with_options
-from animarl_envs.species.traits import Traits, fit_traits
+from animarl_envs.species.traits import FEWEST, Traits, fit_traits
 from animarl_envs.species.turning import Turning
 from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored, softmax, write_inputs
 
 SMALLEST_CONTACT = 0.001  # share of the arena's size
+SIDED = 4.0  # standard errors from left and right alike
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 
 _FITS: dict[tuple[str, str, int], Any] = {}
@@ -73,6 +74,8 @@ def species_of(
           0.9 quantile), else a thousandth of the arena's size: where no recorded episode ended by
           contact, none should that is simulated, however near bodies without extent may come;
         - conditions: those that occur, as names only: no reward differs between them;
+        - left and right are alike (``mirror_symmetric``) unless the recordings say otherwise, see
+          :func:`takes_sides`;
         - the edge of a disc or a square is a wall (``rebound``), unless recordings end because
           an animal left;
         - own velocity averaged over the last steps is seen (``senses_past``) by those with several
@@ -116,6 +119,7 @@ def species_of(
         turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
         own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
+        own["mirror_symmetric"] = not takes_sides(demos)
         own["senses_past"] = locomotion[0].thrusts > 1 or numbers.free
         cutting = _cutting(demos)  # do all episodes begin at the same event?
         apart = (cutting.get("mode"), cutting.get("start")) == ("approach", "separation")
@@ -173,6 +177,40 @@ def fitted_traits(demos: Demonstrations) -> Traits | None:
     trained = (demos.split == "train").any()
     training = demos.select(split="train") if trained else demos
     return fit_traits(training.positions, training.lengths, demos.dt, training.condition)
+
+
+def takes_sides(demos: Demonstrations) -> bool:
+    """Whether recorded individuals prefer the left or the right, so that none is its mirror image.
+
+    Somebody's mean turn, or the mean side of the focus on which it passes, is ``SIDED`` standard
+    errors over training recordings away from none. Artificial agents often are: they learned one
+    of two equally good ways. Fewer than ``FEWEST`` recordings cannot say so.
+    """
+    training = demos.select(split="train") if (demos.split == "train").any() else demos
+    step = np.diff(training.positions, axis=0)
+    length = np.linalg.norm(step, axis=-1)
+    course = step / np.where(length > 0, length, np.inf)[..., None]
+    beside = [course[:-1], course[1:]]  # of each turn
+    sides = [_sine(*beside)]
+    if training.has_goal:
+        sides.append(_sine(focus_directions(training.positions, training.roles)[:-2], beside[0]))
+    names, recording = np.unique(training.recording, return_inverse=True)
+    of_step = np.repeat(recording, training.lengths)[:-2]
+    inside = np.ones(len(of_step), dtype=bool)
+    inside[(training.offsets[1:-1, None] - [1, 2]).ravel()] = False  # into the next episode
+    size = np.bincount(of_step[inside], minlength=len(names))
+    if (size > 0).sum() < FEWEST:
+        return False
+    for side in (each for pair in sides for each in pair.T):
+        total = np.bincount(of_step[inside], side[inside], minlength=len(names))
+        mean = total[size > 0] / size[size > 0]
+        if abs(mean.mean()) > SIDED * mean.std(ddof=1) / np.sqrt(len(mean)):
+            return True
+    return False
+
+
+def _sine(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
 def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:

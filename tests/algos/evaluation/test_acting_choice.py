@@ -16,23 +16,26 @@ from animarl_algos.evaluation.acting_choice import (
     APART,
     COOLER,
     MARGIN,
-    NEAR,
+    MOST_ROUNDS,
+    MOST_STARTS,
     ROLLOUTS,
-    Candidate,
+    ActingChoice,
     candidate_rules,
     choice_episodes,
     choose_acting,
-    compared,
+    errors_above,
     further_rules,
 )
 from animarl_algos.evaluation.collect import Policy, RandomPolicy
+from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER, PLACE
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.realism import ENDING, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import demonstrated_actions
@@ -62,44 +65,48 @@ def test_the_rule_whose_rollouts_are_like_the_recordings_is_chosen() -> None:
     scenario = make_scenario("agent", demos=demos, split=None)
     good = Acting.boltzmann(0.7)
 
-    def policy_for(rule: Acting) -> Policy:
-        return Repeats(demos, scenario.species.locomotion) if rule == good else RandomPolicy(0)
+    def policy_for(rule: Acting, seed: int) -> Policy:
+        return Repeats(demos, scenario.species.locomotion) if rule == good else RandomPolicy(seed)
 
     rules = [Acting(), Acting.boltzmann(1.0), good]
     found = choose_acting(policy_for, partial(make_world, scenario), demos, rules, seed=0)
-    assert found.acting == good
+    assert found.acting == good and found.repeats and found.short < -MARGIN
     by_rule = {each.acting: each for each in found.candidates}
-    assert by_rule[str(good)].mismatch < 0.02 < 0.5 < by_rule["greedy"].mismatch
+    assert by_rule[str(good)].behind == 0 and by_rule["greedy"].behind > MARGIN
+    assert by_rule[str(Acting.boltzmann(1.0))].rounds == 1  # far behind after one round
+    for kind in (KINEMATIC, ORDER, INTERACTIVE, PLACE, ENDING):
+        assert by_rule[str(good)].kinds[kind] > by_rule["greedy"].kinds[kind]
     assert Acting.from_json(json.loads(json.dumps(found.to_json()))["acting"]) == good
 
 
-def test_standing_still_and_dying_at_once_are_far_from_the_recordings() -> None:
-    recorded = Rollouts.from_demonstrations(load_packaged("agent").select(split="val"))
-    assert compared("itself", recorded, recorded).mismatch == 0.0
+def test_recordings_are_less_likely_if_all_stand_still_or_die_at_once() -> None:
+    demos = load_packaged("agent").select(split="val")
+    realism = Likelihood.of(Prepared(demos))
+    recorded = Rollouts.from_demonstrations(demos)
     first = np.repeat(recorded.offsets[:-1], recorded.lengths)
     still = replace(recorded, positions=recorded.positions[first])
-    assert compared("still", still, recorded).mismatch > 1.5
     index = np.concatenate([[start, start + 1] for start in recorded.offsets[:-1]])
     dead = replace(recorded, positions=recorded.positions[index], lengths=np.full(len(recorded), 2))
-    assert compared("dead", dead, recorded).mismatch > 1.5
+    itself, still_, dead_ = (realism.total(realism.components(r)) for r in (recorded, still, dead))
+    others = realism.total(realism.of_others(8, np.random.default_rng(0)))
+    for worse in (still_, dead_, others):
+        assert errors_above(itself - worse, demos.recording) > MARGIN
 
 
-def test_a_recording_that_was_cut_ends_as_a_rollout_that_time_ends() -> None:
-    simulated = Rollouts.from_demonstrations(load_packaged("newt"))
-    went_on = simulated.outcome == TIME_OUT
-    assert 0 < went_on.mean() < 1
-    cut = replace(simulated, outcome=np.where(went_on, UNFINISHED, simulated.outcome))
-    assert compared("itself", simulated, cut).distances["outcome"] == 0
-    touched = replace(simulated, outcome=np.where(went_on, 1, simulated.outcome))
-    assert compared("another end", simulated, touched).distances["outcome"] == pytest.approx(
-        went_on.mean()
-    )
+def test_a_start_counts_with_its_recording() -> None:
+    difference = np.array([1.0, 1.0, 1.0, 1.0, 0.0, np.nan])
+    alone = errors_above(difference, np.arange(6).astype(str))
+    assert alone == pytest.approx(0.8 / np.sqrt(0.2 / 5))
+    assert errors_above(difference, np.array(list("aaaabc"))) == pytest.approx(1.0)
+    assert errors_above(difference, np.array(["a"] * 6)) == 0.0
 
 
 def test_no_test_episode_is_chosen_by() -> None:
     demos = load_packaged("agent")
     chosen = choice_episodes(demos, seed=0)
-    assert set(chosen.split) == {"train", "val"} and (chosen.split == "val").sum() == 50
+    assert set(chosen.split) == {"val"} and len(chosen.split) == MOST_STARTS
+    few = choice_episodes(load_packaged("fly"), seed=0)
+    assert set(few.split) == {"train", "val"} and len(few.split) == MOST_STARTS
     with pytest.raises(InputError, match="no training or validation episode"):
         choice_episodes(demos.select(split="test"), seed=0)
 
@@ -113,29 +120,88 @@ def test_candidates_are_as_meant_then_cooler_shares_of_the_fitted_temperatures_t
     assert rules[-1] == Acting() and len(rules) == 2 + len(COOLER)
 
 
+Rule = tuple[float, float]
+"""How good the rollouts of a rule are, and how much a round moves all of them, up or down."""
+
+
+def chosen_among(
+    goodness: list[Rule], further: list[Rule], monkeypatch: pytest.MonkeyPatch
+) -> tuple[ActingChoice, list[Acting]]:
+    """The choice where the likelihood of each rule is known; other recordings have 0."""
+    demos = choice_episodes(load_packaged("agent"), seed=0)
+    rules = [Acting.boltzmann(1.0 + n) for n in range(len(goodness) + len(further))]
+    known, starts, seeds = dict(zip(rules, goodness + further)), demos.num_episodes, list[int]()
+
+    class Known:
+        """Stands in for the likelihood: its matrix is the likelihood of each recording."""
+
+        @classmethod
+        def of(cls, prepared: Prepared) -> Known:
+            return cls()
+
+        def of_others(self, repetitions: int, rng: np.random.Generator) -> np.ndarray:
+            return np.zeros(starts)
+
+        def components(self, rolled: tuple[Acting, int]) -> np.ndarray:
+            rule, seed = rolled
+            if seed not in seeds:
+                seeds.append(seed)
+            mean, swing = known[rule]
+            return mean + swing * (-1) ** (len(seeds) + 1) + np.sin(np.arange(starts) * (1 + mean))
+
+        def total(self, matrix: np.ndarray) -> np.ndarray:
+            return matrix
+
+        def by_kind(self, matrix: np.ndarray) -> dict[str, float]:
+            return {}
+
+    monkeypatch.setattr(acting_choice, "Likelihood", Known)
+    monkeypatch.setattr(acting_choice, "collect_rollouts", lambda world, rolled, **_: rolled)
+    policy_for: Any = lambda rule, seed: (rule, seed)  # noqa: E731
+    place = len(goodness)
+    found = choose_acting(policy_for, lambda n: None, demos, rules[:place], rules[place:], seed=0)  # type: ignore[arg-type,return-value]
+    return found, rules
+
+
 @pytest.mark.parametrize(
-    ("mismatches", "number"),
+    ("goodness", "number"),
     [
-        ([0.1 + 0.5 * MARGIN, 0.1, 2.0], 0),
-        ([0.1 + 2.0 * MARGIN, 0.1, 2.0], 1),
-        ([0.1 + 2.0 * MARGIN, 0.1 + 0.5 * MARGIN, 0.1], 2),
+        ([(0.0, 0.0), (0.05, 0.0), (-5.0, 0.0)], 0),
+        ([(0.0, 0.0), (4.0, 0.0), (-5.0, 0.0)], 1),
+        ([(0.0, 0.0), (4.0, 0.0), (4.2, 0.0)], 2),
     ],
-    ids=["nearly as good", "clearly worse", "the best of the others"],
+    ids=["nearly as good", "clearly better", "the best of the others"],
 )
-def test_the_first_rule_stays_unless_another_is_better_by_a_margin(
-    mismatches: list[float], number: int, monkeypatch: pytest.MonkeyPatch
+def test_the_first_rule_is_chosen_unless_another_is_better_by_two_standard_errors(
+    goodness: list[Rule], number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    demos = choice_episodes(load_packaged("agent"), seed=0).select(episodes=np.arange(5))
-    scenario = make_scenario("agent", demos=demos, split=None)
-    rules = [Acting.boltzmann(1.0), Acting.boltzmann(0.5), Acting()]
-    found = iter(mismatches)
-    monkeypatch.setattr(
-        acting_choice, "compared", lambda name, *_: Candidate(name, {"outcome": next(found)})
-    )
-    choice = choose_acting(
-        lambda rule: RandomPolicy(0), partial(make_world, scenario), demos, rules, seed=0
-    )
+    choice, rules = chosen_among(goodness, [], monkeypatch)
     assert choice.acting == rules[number] and len(choice.candidates) == len(rules)
+    assert choice.repeats
+
+
+def test_rounds_go_on_until_the_chosen_rule_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    steady, _ = chosen_among([(0.0, 0.0), (4.0, 0.0)], [], monkeypatch)
+    assert steady.repeats and steady.candidates[1].rounds == 2
+    swinging, _ = chosen_among([(0.0, 0.0), (0.3, 4.0)], [], monkeypatch)
+    assert not swinging.repeats and swinging.candidates[0].rounds == MOST_ROUNDS
+
+
+@pytest.mark.parametrize("level", [0.5, -9.0], ids=["near", "short"])
+def test_further_rules_are_chosen_among_where_others_are_nearer(
+    level: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    choice, rules = chosen_among([(level, 0.0)], [(0.2, 0.0)], monkeypatch)
+    assert len(choice.candidates) == (1 if level > 0 else 2)
+    assert choice.acting == rules[0 if level > 0 else 1]
+    assert choice.short <= MARGIN
+
+
+def test_no_rule_that_comes_near_is_chosen_without_saying_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    choice, _ = chosen_among([(-9.0, 0.0)], [(-8.0, 0.0)], monkeypatch)
+    assert choice.short > MARGIN
 
 
 def test_how_hard_and_which_way_are_cooled_apart() -> None:
@@ -143,26 +209,6 @@ def test_how_hard_and_which_way_are_cooled_apart() -> None:
     assert {rule.temperature for rule in rules} == {(2.0, 1.0)}
     assert [(rule.thrust, rule.direction) for rule in rules] == list(APART)
     assert all(rule.two_stage for rule in rules)
-
-
-@pytest.mark.parametrize("near", [True, False])
-def test_further_rules_are_tried_where_none_of_the_first_comes_near(near: bool) -> None:
-    demos = choice_episodes(load_packaged("agent"), seed=0)
-    scenario = make_scenario("agent", demos=demos, split=None)
-    first, later = Acting(), Acting.boltzmann(1.0, direction=0.5)
-    asked = []
-
-    def policy_for(rule: Acting) -> Policy:
-        asked.append(rule)
-        good = near == (rule == first)
-        return Repeats(demos, scenario.species.locomotion) if good else RandomPolicy(0)
-
-    found = choose_acting(
-        policy_for, partial(make_world, scenario), demos, [first], [later], seed=0
-    )
-    assert asked == ([first] if near else [first, later])
-    assert found.acting == asked[-1] and len(found.candidates) == len(asked)
-    assert (found.candidates[0].mismatch <= NEAR) == near
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.acting_choice import compared
 from animarl_algos.evaluation.metrics import METRICS, compared_metrics, judged_metrics
-from animarl_algos.evaluation.order_in_time import nearest_other, order_measures
+from animarl_algos.evaluation.order_in_time import INTERACTIVE, nearest_other, order_measures
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.realism import Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import Verdict, verdict
 from animarl_algos.evaluation.windows import window_features
@@ -150,11 +151,11 @@ def test_a_shoal_is_judged_as_a_group(group: Demonstrations) -> None:
     assert extent["strangers"] > 1.5 * extent["recorded"]
     assert wrong.row("extent")["judgement"] == "differs"
     assert {"spread too wide", "align too little"} & set(wrong.words)
-    chosen = {
-        name: compared(name, rollouts_of(group, paths, 2), Rollouts.from_demonstrations(group))
-        for name, paths in (("true", same), ("blind", alone))
-    }
-    assert chosen["true"].distances["together"] < 0.5 * chosen["blind"].distances["together"]
+    realism = Likelihood.of(Prepared(group))
+    chosen = [
+        realism.by_kind(realism.components(rollouts_of(group, paths, 2))) for paths in (same, alone)
+    ]
+    assert chosen[0][INTERACTIVE] > chosen[1][INTERACTIVE] + 0.1
 
 
 def _from_starts(demos: Demonstrations, seed: int, law: shoal.ZonalLaw) -> list[np.ndarray]:

@@ -311,14 +311,26 @@ def test_a_clone_that_learned_nothing_is_named(tmp_path: Path) -> None:
     assert uninformative_clones(run_of(tmp_path, "dqdil-pt", curves)) == []  # values, no logits
 
 
-@pytest.mark.parametrize(("least", "said"), [(0.29, False), (0.31, True)])
-def test_acting_rules_that_are_all_far_are_said(tmp_path: Path, least: float, said: bool) -> None:
+@pytest.mark.parametrize(
+    ("choice", "said"),
+    [
+        ({"short": 1.9, "repeats": True}, []),
+        ({"short": 2.1, "repeats": True}, ["No candidate"]),
+        ({"short": 2.1, "repeats": False}, ["No candidate", "The choice"]),
+        ({}, []),
+    ],
+    ids=["near", "far", "far and not repeated", "of an older model"],
+)
+def test_acting_rules_that_are_all_far_are_said(
+    tmp_path: Path, choice: dict[str, Any], said: list[str]
+) -> None:
     run = run_of(tmp_path, "soft-bc", {})
     assert far_acting_rules(run) == []  # --acting was given
     file = tmp_path / "policies" / "soft-bc.acting.json"
     file.parent.mkdir()
-    file.write_text(json.dumps({"candidates": [{"mismatch": 1.0}, {"mismatch": least}]}))
-    assert len(far_acting_rules(run)) == said
+    file.write_text(json.dumps(choice))
+    found = far_acting_rules(run)
+    assert len(found) == len(said) and all(map(str.startswith, found, said))
 
 
 def test_warnings_stand_on_the_page_once() -> None:

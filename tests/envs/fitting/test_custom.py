@@ -17,10 +17,11 @@ from recordings import CHASER, PREY, dogs, search
 
 import animarl_envs
 from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import joint
-from animarl_envs.fitting.custom_species import contact_radius_of, species_of
+from animarl_envs.fitting.custom_species import contact_radius_of, species_of, takes_sides
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
@@ -266,3 +267,18 @@ def test_recorded_moths_at_once(data_dir: Path) -> None:
     assert info["scenario"]["species"] == "silkmoth"
     assert info["scenario"]["time_limit"] == 600
     env.step(0)
+
+
+def test_mirror_images_are_chosen_by_whether_recordings_take_sides() -> None:
+    demos = load_packaged("agent")
+    assert takes_sides(demos)  # the programs learned one of two equally good ways
+    still = (Locomotion(0.2, 2.0),) * 3
+    assert not species_of(demos, still, base="custom").mirror_symmetric
+    sign = np.repeat((-1.0) ** np.arange(demos.num_episodes), demos.lengths)
+    image = np.stack([np.ones_like(sign), sign], axis=1)[:, None]
+    velocity = demos.initial_velocity * image[demos.offsets[:-1]]
+    fair = replace(demos, positions=demos.positions * image, initial_velocity=velocity)
+    assert not takes_sides(fair)
+    assert species_of(fair, still, base="custom").mirror_symmetric
+    few = demos.select(episodes=np.arange(7))
+    assert not takes_sides(few)  # seven recordings cannot say so
