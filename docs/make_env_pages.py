@@ -15,6 +15,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import fields
+from itertools import groupby
 
 from custom_page import custom_page
 from option_notes import CHASE_ONLY, FREE_ONLY, NOTES, SEARCH_ONLY
@@ -28,7 +29,7 @@ from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import SPECIES, ChaseSpecies, Species
+from animarl_envs.species import COMPACT, SPECIES, ChaseSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import ObservationComponent, World
 
@@ -37,8 +38,8 @@ TURNS = {0: "straight at the focus", 3: "to the right", 6: "straight away", 9: "
 
 def page(species: Species) -> str:
     """The whole page of a species."""
-    scenario = make_scenario(species, demos=None)
-    world = make_world(scenario, 1)
+    full = make_world(make_scenario(species, demos=None), 1)
+    world = make_world(make_scenario(species, demos=None, observation=COMPACT), 1)
     env_id = animarl_envs.environment_id(species.name)
     module = importlib.import_module(f"animarl_envs.species.{species.name}")
     title, _, more = inspect.cleandoc(module.__doc__ or "").partition("\n")
@@ -48,28 +49,32 @@ def page(species: Species) -> str:
         *paragraphs(title, more),
         f"![{species.title}](../images/{species.name}.png)",
         *caption(species.name),
-        "## Facts",
-        facts(species),
-        "## Observation",
-        f"`Box({len(world.observation_components)},)`, float32, one vector per individual."
-        + ORDER.get(kind(species), ""),
-        observations(world.observation_components),
-        *OTHER_OBSERVATION.get(kind(species), ()),
+        "## Usage",
+        usage(species),
+        "## Rewards",
+        rewards(world, species),
         "## Actions",
         ACTIONS.format(count=species.num_actions, focus=FOCUS[kind(species)]),
         actions(species),
-        "## Rewards",
-        rewards(world, species),
+        "## Observation",
+        f"`Box({len(world.observation_components)},)`, float32, one vector per individual."
+        + ORDER.get(kind(species), ""),
+        observations(world.observation_components, together=True),
+        OTHERS.format(count=len(full.observation_components)),
+        *PAPER.get(kind(species), ()),
+        f"<details><summary>All {len(full.observation_components)} components of `full`</summary>",
+        observations(full.observation_components),
+        "</details>",
         "## Ends of an episode",
         ends(species),
+        "## Facts",
+        facts(species),
         "## Options",
         "Options are keyword arguments of `gym.make`, `gym.make_vec` and "
         "`animarl_envs.parallel_env` (there without `focal` and `others`). "
         '`info["scenario"]` at reset and the attribute `scenario_data` hold the values in use. '
         '`reset(options={"demo": 3})` starts from demonstration 3.',
         options(species),
-        "## Usage",
-        usage(species),
         "## Wrappers",
         WRAPPERS,
         "## Version history",
@@ -96,10 +101,17 @@ ORDER = {
     "chase": " The first of the others is the target (or the single pursuer of several targets). "
     "All others are listed by distance, the nearest first.",
 }
-OTHER_OBSERVATION = {
+OTHERS = (
+    '`observation="compact"`: the default of `gym.make`, `gym.make_vec` and `parallel_env`. '
+    '`observation="full"` has {count} numbers, on scales where slow animals show: what clones of '
+    "animals need, and so the default of this package's learners and packaged models. A model acts "
+    "only on the observation that it was trained on. A species that you give as a spec has the "
+    "observation that the spec says."
+)
+PAPER = {
     "chase": (
-        '`observation="paper"` has the components of the paper instead. Three of them are constant '
-        "or copies, because the frame points at the focus.",
+        '`observation="paper"` has the components of the paper. Three of them are '
+        "constant or copies, because the frame points at the focus.",
     )
 }
 ACTIONS = (
@@ -182,11 +194,20 @@ def packaged(name: str) -> str:
     return f"{len(demos)} {kind} episodes, {seconds:.1f} s: {split}"
 
 
-def observations(components: Sequence[ObservationComponent]) -> str:
-    rows = [
-        (str(k), c.name, c.frame, c.unit, f"{number(c.low)} to {number(c.high)}")
-        for k, c in enumerate(components)
-    ]
+def observations(components: Sequence[ObservationComponent], together: bool = False) -> str:
+    """One row for each component, or for those ``together`` that differ in the last word only."""
+
+    def shared(c: ObservationComponent) -> tuple[str, ...]:
+        span = f"{number(c.low)} to {number(c.high)}"
+        return (c.name.rpartition(" ")[0] if together else c.name), c.frame, c.unit, span
+
+    rows, k = [], 0
+    for (stem, *about), grouped in groupby(components, shared):
+        names = [c.name for c in grouped]
+        last = ", ".join(name.removeprefix(stem).strip() for name in names)
+        label = f"{stem}: {last}" if len(names) > 1 else names[0]
+        rows.append((f"{k} to {k + len(names) - 1}" if len(names) > 1 else str(k), label, *about))
+        k += len(names)
     return markdown_table(("", "component", "frame", "unit", "range"), rows)
 
 
@@ -260,7 +281,7 @@ def option_defaults(species: Species) -> dict[str, str]:
     for field in fields(species):
         if field.name not in hidden | {"version_history"}:
             shown[field.name] = repr(getattr(species, field.name))
-    return shown
+    return shown | {"observation": repr(COMPACT)}
 
 
 def arena_text(arena: Arena) -> str:

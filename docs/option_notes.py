@@ -68,8 +68,8 @@ NOTES: dict[str, tuple[str, str]] = {
     "warmup": ("a whole number of steps", "steps replayed from the demonstration at the start"),
     "conditions": ("none or two names", "names of conditions 0 and 1"),
     "observation": (
-        "`'full'`, `'paper'`",
-        "all components listed above, or those of the paper (some of them are constant)",
+        "`'compact'`, `'full'`, `'paper'`",
+        "what is observed: a few numbers, those that clones need, or those of the paper",
     ),
     "sense_scales": (
         "`SenseScales` or `None`",

@@ -4,7 +4,7 @@ import re
 
 from animarl_envs.errors import InputError
 from animarl_envs.species.agent import AGENT
-from animarl_envs.species.base import Recording, Species
+from animarl_envs.species.base import COMPACT, Recording, Species
 from animarl_envs.species.chase import ChaseSpecies
 from animarl_envs.species.fly import FLY
 from animarl_envs.species.newt import NEWT
@@ -19,7 +19,7 @@ CUSTOM = "custom"
 """Name of a species made from demonstrations, by :mod:`animarl_envs.fitting.custom_species`."""
 
 __all__ = [
-    "AGENT", "CUSTOM", "FLY", "NEWT", "SHOAL", "SILKMOTH", "SOLO", "SPECIES",
+    "AGENT", "COMPACT", "CUSTOM", "FLY", "NEWT", "SHOAL", "SILKMOTH", "SOLO", "SPECIES",
     "ChaseSpecies", "Recording", "SearchSpecies", "Species", "get_species",
     "species_name",
 ]  # fmt: skip

@@ -15,7 +15,8 @@ from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 
-OBSERVATIONS = ("full", "paper")
+COMPACT = "compact"
+OBSERVATIONS = (COMPACT, "full", "paper")
 PLAIN_BODY = "animal"
 BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
 """Looks of an individual; :mod:`animarl_envs.drawing.palette` draws them."""
@@ -68,7 +69,7 @@ class Species:
     warmup: int = 0  # steps replayed from the demonstration
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
     boundary_penalty: float = field(default=-10.0, metadata={"least": (-1e300, "a number")})
-    observation: str = "full"  # or "paper": the components of the paper
+    observation: str = "full"  # one of OBSERVATIONS; what is made by a name is "compact"
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     mirror_symmetric: bool = True  # left and right are alike to it
     planned_flip: tuple[int, int] | None = None  # conditions (world, cue) that the paper compares
@@ -116,7 +117,7 @@ class Species:
         if self.observation not in OBSERVATIONS:
             raise InputError(
                 f"observation is {self.observation!r}: "
-                f"choose {' or '.join(map(repr, OBSERVATIONS))}"
+                f"choose one of {', '.join(map(repr, OBSERVATIONS))}"
             )
         scales = self.sense_scales
         if scales is not None and (

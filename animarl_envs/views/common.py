@@ -21,7 +21,7 @@ from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
-from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.species import COMPACT, SearchSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
@@ -142,6 +142,12 @@ class FocalView(View):
         self._spec = spec
 
 
+def viewed_scenario(species: Species | str, options: Mapping[str, Any]) -> Scenario:
+    """Make a scenario; of a species by its name, what is observed is compact unless asked for."""
+    usual = {"observation": COMPACT} if isinstance(species, str) else {}
+    return make_scenario(species, **(usual | dict(options)))
+
+
 def focal_scenario(
     view: type, species: Species | str, focal: str | None, others: Others, options: dict[str, Any]
 ) -> tuple[Scenario, int, dict[int, PolicyFunction]]:
@@ -156,7 +162,7 @@ def focal_scenario(
             "moves the rest"
         )
     with also_list_options_of(view.__init__, without=("drivers",)):  # type: ignore[misc]
-        scenario = make_scenario(species, **options)
+        scenario = viewed_scenario(species, options)
     names = scenario.names
     focal = names[first_pursuer(scenario.species.roles)] if focal is None else focal
     if focal not in names:

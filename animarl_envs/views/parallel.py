@@ -14,7 +14,6 @@ from pettingzoo import ParallelEnv
 
 from animarl_envs.drawing.render import RENDER_MODES
 from animarl_envs.errors import InputError, also_list_options_of
-from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     View,
@@ -22,6 +21,7 @@ from animarl_envs.views.common import (
     checked_limit,
     cut_after,
     observation_space,
+    viewed_scenario,
 )
 
 Observations = dict[str, NDArray[np.float32]]
@@ -67,7 +67,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         **options: Any,
     ) -> None:
         with also_list_options_of(AnimalParallelEnv.__init__):
-            scenario = make_scenario(species, **options)
+            scenario = viewed_scenario(species, options)
         self.max_cycles = checked_limit("max_cycles", max_cycles)
         self._build(scenario, 1, render_mode)
         self.metadata["name"] = f"animarl_{scenario.species.name}_v0"

@@ -43,7 +43,8 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         ``"rgb_array"``, ``"human"`` or ``None``.
     options
         Of :func:`animarl_envs.scenario.make_scenario`: ``demos``, ``split``, ``condition``,
-        ``start``, ``num_pursuers``, ``arena``, ``contact_radius``, ``locomotion``, ...
+        ``start``, ``num_pursuers``, ``arena``, ``contact_radius``, ``locomotion``, ... Of a species
+        given by name, ``observation`` is ``"compact"`` unless asked for.
 
     Notes
     -----
@@ -66,7 +67,7 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
     >>> env = gym.make("AnimaRL/Agent-v0", focal="predator_1")
     >>> observation, info = env.reset(seed=0)
     >>> observation.shape
-    (18,)
+    (15,)
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}

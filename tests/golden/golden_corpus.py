@@ -175,17 +175,18 @@ def parallel(env: Any) -> dict[str, Any]:
     return steps_of(observations, rewards, ends, outcomes)
 
 
+FULL = {"observation": "full"}  # of which the compact one, the default, is a part
 VIEWS: dict[str, tuple[Callable[..., Any], Callable[[Any], Any], Any, Any]] = {
     "single": (
-        lambda species, **o: gym.make(id_of(species), **o),
+        lambda species, **o: gym.make(id_of(species), **FULL | o),
         single, DTWReward, ConditionFlag,
     ),
     "vector": (
-        lambda species, **o: gym.make_vec(id_of(species), num_envs=COPIES, **o),
+        lambda species, **o: gym.make_vec(id_of(species), num_envs=COPIES, **FULL | o),
         vector, DTWRewardVector, ConditionFlagVector,
     ),
     "parallel": (
-        lambda species, **o: animarl_envs.parallel_env(species, **o),
+        lambda species, **o: animarl_envs.parallel_env(species, **FULL | o),
         parallel, DTWRewardParallel, ConditionFlagParallel,
     ),
 }  # fmt: skip

@@ -3,8 +3,9 @@
 The kernel of :mod:`animarl_envs.worlds.chase.senses` writes the groups of this table, each where
 :func:`first_rows` says; observation spaces, documentation and mirror images are read from it too.
 
-``observation="full"`` holds what simulators were found to need; ``"paper"`` the components of the
-paper, of which three are constant or copies, as the frame points at the focus.
+``observation="compact"`` holds the own motion, the others and the arena, each once; ``"full"`` what
+simulators were found to need; ``"paper"`` the components of the paper, of which three are constant
+or copies, as the frame points at the focus.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.focus import COURSE, share_of
 from animarl_envs.locomotion import residual
-from animarl_envs.species import ChaseSpecies
+from animarl_envs.species import COMPACT, ChaseSpecies
 from animarl_envs.worlds.base import ObservationComponent
 
 ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
@@ -105,7 +106,7 @@ _MEMORY = [
     )
 ]  # fmt: skip
 RECALLED = len(_MEMORY) // len(MEMORY)  # groups of each time
-_BOTH = (PAPER, FULL)
+_BOTH, _ALWAYS, _SMALL = (PAPER, FULL), (COMPACT, PAPER, FULL), (COMPACT, FULL)
 _WALL = "tanh of distance to the wall /"
 
 
@@ -128,10 +129,10 @@ class Seen(IntEnum):
 
     # The individual itself
     POSITION = Group("own position {x|y}", ARENA, LENGTH, "place", _BOTH, sense=COMPASS)
-    VELOCITY = Group("own velocity {ahead|left}", EGO, SPEED, "own speed", _BOTH)
+    VELOCITY = Group("own velocity {ahead|left}", EGO, SPEED, "own speed", _ALWAYS)
     PLANE_VELOCITY = Group("own velocity {x|y}", ARENA, SPEED, "own speed", sense=COMPASS)
     FINE, COARSE, LOG_SPEED = _OWN
-    ACCELERATION = Group("own acceleration / u {ahead|left}", EGO, "1", "acceleration")
+    ACCELERATION = Group("own acceleration / u {ahead|left}", EGO, "1", "acceleration", _SMALL)
     FOCUS = Group("focus direction {cosine|sine}", ARENA, "1", "unit", _BOTH, sense=COMPASS)
     TIME = Group("log of (1 + steps since the start)", "any", "1", "log steps", sense="senses_time")
     FINE_SHORT, COARSE_SHORT, LOG_SHORT = _SHORT
@@ -144,9 +145,9 @@ class Seen(IntEnum):
     COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
     PUSH = Group(_directions("own acceleration"), EGO, "1", "unit", sense="senses_course")
     # Each other individual
-    PLACE = Group("relative position {ahead|left}", EGO, LENGTH, "offset", _BOTH, of_focus=False)
-    DRIFT = Group("relative velocity {ahead|left}", EGO, SPEED, "difference", _BOTH)
-    DISTANCE = Group("distance", "any", LENGTH, "distance", _BOTH)
+    PLACE = Group("relative position {ahead|left}", EGO, LENGTH, "offset", _ALWAYS, of_focus=False)
+    DRIFT = Group("relative velocity {ahead|left}", EGO, SPEED, "difference", _ALWAYS)
+    DISTANCE = Group("distance", "any", LENGTH, "distance", _ALWAYS)
     BEARING = Group("-bearing", EGO, "rad", "angle", (PAPER,))
     NEARNESS = Group("inverse of (distance + 0.1 size)", "any", "1 / arena unit", "nearness")
     BEARING_CIRCLE = Group("bearing {cosine|sine}", EGO, "1", "unit", of_focus=False)
@@ -157,8 +158,8 @@ class Seen(IntEnum):
     OTHER_HEADING = Group("heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
     # The arena
     CENTRE_DISTANCE = Group("distance from the centre", ARENA, LENGTH, "radius", (PAPER,))
-    EDGE = Group("distance to the edge", ARENA, LENGTH, "inside")
-    CENTRE = Group("centre of the arena {ahead|left}", EGO, LENGTH, "centre")
+    EDGE = Group("distance to the edge", ARENA, LENGTH, "inside", _SMALL)
+    CENTRE = Group("centre of the arena {ahead|left}", EGO, LENGTH, "centre", _SMALL)
     AT_WALL = Group(f"{_WALL} (0.03 size)", WALL, "1", "at wall", of_walls=True)
     BY_WALL = Group(f"{_WALL} (0.1 size)", WALL, "1", "by wall", of_walls=True)
     WALL_CIRCLE = Group("direction of the wall {cosine|sine}", EGO, "1", "unit", of_walls=True)
@@ -252,7 +253,7 @@ def ranges(
     steps = limit if arena.shape == "open" else 0 if arena.rebound else 1
     start = arena.size if arena.shape == "open" else arena.edge
     reach = max(start + top * species.dt * steps, farthest)
-    round_field = arena.shape == "disc" and species.observation == FULL  # saved spaces keep theirs
+    round_field = arena.shape == "disc" and species.observation != PAPER  # saved spaces keep theirs
     radius = reach if round_field else math.sqrt(2.0) * reach
     scales = species.scales
     relative = top / min(m.smallest_thrust * scales.dt for m in scales.locomotion)

@@ -2,7 +2,8 @@
 
 :class:`Seen` is the order, :func:`observation_components` says what each entry means, and
 :func:`animarl_envs.worlds.search.senses.sense` writes them. The first ``PAPER`` entries are the
-paper's; ``observation="paper"`` stops there. The position is not among them.
+paper's, where ``observation="paper"`` stops; ``"compact"`` holds the hits themselves beside them,
+``"full"`` all. The position is not among them.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-from animarl_envs.species import SearchSpecies
+from animarl_envs.species import COMPACT, SearchSpecies
 from animarl_envs.species.traits import LARGEST, TRAITS
 from animarl_envs.worlds.base import ObservationComponent
 
@@ -67,6 +68,7 @@ class Seen(IntEnum):
 
 
 PAPER = Seen.WIND_BACK + 1  # components of the paper
+SMALL = Seen.HIT_RIGHT + 1  # of the compact observation
 ALIKE = Seen.YAW_RATE + 1  # components where all individuals are alike
 
 
@@ -99,7 +101,7 @@ def observation_components(
         "trait": (-LARGEST, LARGEST),
     }
     every = ALIKE if species.traits is None else len(Seen)
-    wanted = PAPER if species.observation == "paper" else every
+    wanted = {"paper": PAPER, COMPACT: SMALL, "full": every}[species.observation]
     return tuple(
         ObservationComponent(label, frame, unit, *spans[span], sign, mirror)
         for label, frame, unit, span, sign, mirror in (seen.component for seen in Seen)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
-from animarl_envs.worlds.search.layout import ALIKE, HARDEST, PAPER, REST, Seen
+from animarl_envs.worlds.search.layout import ALIKE, HARDEST, PAPER, REST, SMALL, Seen
 from animarl_envs.worlds.streams import next_uniform
 
 
@@ -205,7 +205,10 @@ def sense(  # type: ignore[no-untyped-def]
     out[Seen.ODOUR_RIGHT, column] = odour[1, b]
     _sense_air(b, condition, senses, body, out, column)
     if out.shape[0] > PAPER:
-        _sense_more(b, velocity_x, velocity_y, hit_left, hit_right, senses, body, out, column)
+        out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
+        out[Seen.HIT_RIGHT, column] = 1.0 if hit_right else 0.0
+    if out.shape[0] > SMALL:
+        _sense_more(b, velocity_x, velocity_y, senses, body, out, column)
         out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
         out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
     if out.shape[0] > ALIKE:
@@ -237,10 +240,8 @@ def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-unty
 
 
 @nb.njit(inline="always")
-def _sense_more(b, velocity_x, velocity_y, hit_left, hit_right, senses, body, out, column):  # type: ignore[no-untyped-def]
+def _sense_more(b, velocity_x, velocity_y, senses, body, out, column):  # type: ignore[no-untyped-def]
     """The same things said so that a network can use them, and a longer memory of hits."""
-    out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
-    out[Seen.HIT_RIGHT, column] = 1.0 if hit_right else 0.0
     out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
     out[Seen.ODOUR_SUM, column] = body.odour[0, b] + body.odour[1, b]
     out[Seen.TRACE_LEFT, column] = body.trace[0, b]

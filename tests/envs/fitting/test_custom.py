@@ -70,7 +70,7 @@ def test_registry_custom_search_has_the_moths_senses() -> None:
     assert isinstance(spec, SearchSpecies)
     assert (spec.individuals, spec.dt, spec.arena.size) == (("beetle",), 0.4, 0.4)
     assert (spec.conditions, spec.warmup) == (SILKMOTH.conditions, 0)
-    assert gym.make_vec(ID, num_envs=2, demos=search()).reset(seed=0)[0].shape == (2, 26)
+    assert gym.make_vec(ID, num_envs=2, demos=search()).reset(seed=0)[0].shape == (2, 12)
     seen = gym.make_vec(ID, num_envs=2, demos=search(), observation="paper").reset(seed=0)[0]
     assert seen.shape == (2, 10)
 

@@ -122,7 +122,7 @@ def frames(course: Course) -> list[str]:
 @often
 @given(seeds, pursuers, st.floats(-3.0, 3.0), st.sampled_from(["disc", "open"]),
        st.booleans(), st.sampled_from(["agent", "fly", "newt"]),
-       st.sampled_from(["full", "paper"]), st.booleans())  # fmt: skip
+       st.sampled_from(["compact", "full", "paper"]), st.booleans())  # fmt: skip
 def test_invariance_rotation_turns_the_paths(
     seed: int, count: int, angle: float, shape: str, rebound: bool, name: str, kind: str,
     lone: bool,
@@ -144,7 +144,7 @@ def test_invariance_rotation_turns_the_paths(
 
 @often
 @given(seeds, pursuers, st.sampled_from(["square", "disc", "open"]), st.sampled_from(["x", "y"]),
-       st.sampled_from(["agent", "fly", "newt"]), st.sampled_from(["full", "paper"]),
+       st.sampled_from(["agent", "fly", "newt"]), st.sampled_from(["compact", "full", "paper"]),
        st.booleans())  # fmt: skip
 def test_invariance_mirroring_mirrors_the_paths(
     seed: int, count: int, shape: str, axis: str, name: str, kind: str, lone: bool

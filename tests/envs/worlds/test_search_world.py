@@ -105,11 +105,14 @@ def test_kernel_agrees_with_the_reference(
     np.testing.assert_allclose(seen, wanted, atol=1e-5)
 
 
-def test_the_paper_s_observation_is_the_beginning_of_the_full_one() -> None:
+@pytest.mark.parametrize(("observation", "size"), [("paper", PAPER), ("compact", 12)])
+def test_smaller_observations_are_the_beginning_of_the_full_one(
+    observation: str, size: int
+) -> None:
     actions = random_actions(80, 3)
-    full, paper = (rollout(search_world(3, observation=o), actions) for o in ("full", "paper"))
-    assert paper.shape[-1] == 10 == PAPER and full.shape[-1] == ALIKE
-    np.testing.assert_array_equal(full[..., :10], paper)
+    full, small = (rollout(search_world(3, observation=o), actions) for o in ("full", observation))
+    assert small.shape[-1] == size and full.shape[-1] == ALIKE
+    np.testing.assert_array_equal(full[..., :size], small)
 
 
 def test_no_component_of_the_full_observation_is_dead() -> None:
@@ -158,7 +161,7 @@ def test_scene_details_say_where_the_antennae_are() -> None:
         ({"odour_decay": 0.0}, "odour_decay"),
         ({"antenna_angle": 120.0}, "antenna_angle"),
         ({"train_plumes": ()}, "train_plumes"),
-        ({"observation": "most"}, "'full' or 'paper'"),
+        ({"observation": "most"}, "'full', 'paper'"),
         ({"trace_decay": 0.0}, "trace_decay"),
         ({"turning": 0.3}, "give a Turning"),
         ({"turning": {"gain": 1.0}}, "persistence, gain, slip and speed"),

@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recordings import dogs
 
+from animarl_algos import SlotVecEnv
+from animarl_envs import environment_id, parallel_env
+from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import ACTION_VECTORS
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
-from animarl_envs.worlds import demonstration_observations, make_world, mirror
+from animarl_envs.worlds import (
+    demonstration_observations,
+    make_world,
+    mirror,
+    observation_components,
+)
 from animarl_envs.worlds.base import World
 
 Array = NDArray[Any]
@@ -92,7 +102,7 @@ def extremes(world: World) -> None:
     world.set_state(state)
 
 
-@pytest.mark.parametrize("kind", ["full", "paper"])
+@pytest.mark.parametrize("kind", ["compact", "full", "paper"])
 @pytest.mark.parametrize(
     ("name", "options"),
     [("agent", {}), ("agent", {"rebound": True}), ("fly", {}), ("newt", {}),
@@ -111,7 +121,7 @@ def test_documented_ranges_hold_and_are_reached(name: str, options: Any, kind: s
         low, high = seen[:, c].min(), seen[:, c].max()
         spare = 1e-5 * (component.high - component.low)
         assert component.low - spare <= low and high <= component.high + spare, component
-        if kind == "full":
+        if kind != "paper":
             assert high - low >= 0.5 * (component.high - component.low), component
 
 
@@ -124,7 +134,7 @@ def test_random_walks_stay_within_the_ranges(name: str, options: Any) -> None:
     assert (seen >= low).all() and (seen <= high).all()
 
 
-@pytest.mark.parametrize("kind", ["full", "paper"])
+@pytest.mark.parametrize("kind", ["compact", "full", "paper"])
 @chases
 def test_a_mirrored_world_is_seen_mirrored(name: str, options: Any, kind: str) -> None:
     scenario = make_scenario(name, observation=kind, warmup=0, **options)
@@ -155,7 +165,7 @@ def test_mirror_images_of_actions_are_mirrored_vectors_and_their_own_inverse() -
 @pytest.mark.parametrize(
     ("name", "seen"),
     [*itertools.product(["agent", "fly", "newt"],
-                        [{"observation": "full"}, {"observation": "paper"}]),
+                        [{"observation": kind} for kind in ("compact", "full", "paper")]),
      ("newt", {"senses_past": True, "senses_time": True, "senses_course": True,
                "time_limit": 20})],
 )  # fmt: skip
@@ -314,6 +324,40 @@ def test_a_push_beyond_four_thrusts_is_seen_as_four() -> None:
     assert accelerations(world)[0, 2].tolist() == [4.0, 0.0]  # away from it, and so at its focus
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "size"),
+    [("agent", {}, 15), ("fly", {"num_pursuers": 1}, 10), ("newt", {"num_pursuers": 3}, 20),
+     ("shoal", {"neighbours": 2}, 17), ("solo", {"arena": Arena("disc", 1.0, 1.1)}, 7)],
+)  # fmt: skip
+def test_compact_observations_are_part_of_the_full_ones(name: str, options: Any, size: int) -> None:
+    seen, names = {}, {}
+    for kind in ("compact", "full"):
+        world = make_world(make_scenario(name, demos=None, observation=kind, **options), 5)
+        seen[kind] = walk(world, 40)
+        names[kind] = [c.name for c in world.observation_components]
+    assert len(names["compact"]) == size
+    part = [names["full"].index(one) for one in names["compact"]]
+    assert np.array_equal(seen["compact"], seen["full"][..., part])
+
+
+@pytest.mark.parametrize("name", SPECIES)
+def test_what_is_made_by_a_name_observes_compactly_and_a_spec_as_it_says(name: str) -> None:
+    id_, spec = environment_id(name), SPECIES[name]
+    compact = len(observation_components(replace(spec, observation="compact")))
+    made: list[Any] = [gym.make(id_), gym.make_vec(id_, num_envs=2), parallel_env(name)]
+    for env in made:
+        assert env.unwrapped.world.observation.shape[-1] == compact
+    full = SlotVecEnv(name, 1, demos=None)  # learners ask for what clones need
+    for world in (
+        full.world,
+        parallel_env(spec).world,
+        gym.make(id_, species=spec).unwrapped.world,
+    ):
+        assert world.observation.shape[-1] == len(observation_components(spec)) > compact
+
+
 def test_an_unknown_observation_is_refused() -> None:
-    with pytest.raises(InputError, match="observation is 'rich': choose 'full' or 'paper'"):
+    with pytest.raises(
+        InputError, match="observation is 'rich': choose one of 'compact', 'full', 'paper'"
+    ):
         make_scenario("fly", observation="rich")
