@@ -4,8 +4,6 @@ A reward for imitation must rank them: the recorded actions, the same with more 
 random, and below all of these every way of not following at all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

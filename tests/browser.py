@@ -4,8 +4,6 @@ It is looked for where systems put it, and then where ``playwright install chrom
 ``ANIMARL_CHROMIUM`` names another one.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Commands called in this process, and how they ended."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from typer.testing import CliRunner

@@ -1,7 +1,5 @@
 """Learners of :class:`toys.Confounded`: their settings, and what they make of the condition."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

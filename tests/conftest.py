@@ -1,7 +1,5 @@
 """Where the recorded data lies, what is skipped without data or device, and one torch thread."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

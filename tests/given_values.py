@@ -1,7 +1,5 @@
 """Action values that a test makes up, in the place of a network's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -1,7 +1,5 @@
 """A page of HTML taken apart, without a browser."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 
 VOID = frozenset({"meta", "img", "br", "link", "hr", "input"})

@@ -5,8 +5,6 @@
 runs in a process of its own and prints a line at every boundary between updates.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

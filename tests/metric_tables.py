@@ -1,7 +1,5 @@
 """Tables of metrics with given values, and single rows of what is made of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray

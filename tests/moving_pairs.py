@@ -1,7 +1,5 @@
 """A synthetic pair of animals of known statistics; simulators of it, a true one and bad ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

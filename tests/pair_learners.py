@@ -1,7 +1,5 @@
 """Small learners of the pair of :mod:`toys`, with its demonstrations, for tests of learning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

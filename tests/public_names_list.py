@@ -3,8 +3,6 @@
 ``python tests/public_names_list.py`` prints them as ``tests/public_names.txt`` holds them.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Small synthetic recordings of any species, for tests that need demonstrations of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

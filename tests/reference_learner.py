@@ -1,7 +1,5 @@
 """The learners once more, plainly: one individual, double precision, one sequence at a time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One individual's network and the losses of its values, by their equations, as plain functions."""
 
-from __future__ import annotations
-
 import torch
 from torch.nn import functional
 

@@ -1,7 +1,6 @@
-"""What a reader says of a file that it refuses."""
+"""Refusals: each is one sentence."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,17 @@ from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import read
 
 
-def refused(path: Path, source: str | None = None, **options: Any) -> str:
-    """The one line of the refusal."""
-    with pytest.raises(InputError) as caught:
-        read(path, source, **options)
+def refuses(message: str, call: Callable[..., object], /, *given: Any, **options: Any) -> str:
+    """Make sure that a call with these arguments is refused; return the sentence.
+
+    ``message`` is searched for in it, as ``match`` of ``pytest.raises``.
+    """
+    with pytest.raises(InputError, match=message) as caught:
+        call(*given, **options)
     assert "\n" not in str(caught.value)
     return str(caught.value)
+
+
+def refused(path: Path, source: str | None = None, **options: Any) -> str:
+    """Return what a reader says of a file that it refuses."""
+    return refuses("", read, path, source, **options)

@@ -1,7 +1,5 @@
 """A made-up run, as a report takes it, and the page made of it."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -3,8 +3,6 @@
 Steps of the world and minibatches drawn are kept in the order in which they came.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Odour-search worlds, walks through them, and recordings to start them from."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small batches of padded sequences, and PyTorch's own GRU, for tests of the stacked networks."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import nn

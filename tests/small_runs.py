@@ -1,7 +1,5 @@
 """Small trained runs on a few packaged chases of both conditions, made in a second or two each."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Streams of random steps, and sequence replays filled from them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Dynamic time warping by its definition, cell by cell, and what closeness by it is worth."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

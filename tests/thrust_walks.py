@@ -1,7 +1,5 @@
 """Walks made by species of several thrust magnitudes: the actions behind them are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +9,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.focus import focus_directions
-from animarl_envs.locomotion import (
-    Locomotion,
-    apply_actions,
-)
+from animarl_envs.locomotion import Locomotion, apply_actions
 from animarl_envs.species import Species
 
 MULTIPLES = (1.75, 1.0, 0.5)

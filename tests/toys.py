@@ -5,8 +5,6 @@ K`` of copy ``s // K``), with the array attributes that the learners read (``ext
 ``get_state`` / ``set_state`` for exact resume.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

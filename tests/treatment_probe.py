@@ -1,7 +1,5 @@
 """Can the condition be read from features? A classifier fitted anew, while the features stay."""
 
-from __future__ import annotations
-
 import torch
 from torch import nn
 from torch.nn import functional

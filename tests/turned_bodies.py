@@ -1,7 +1,5 @@
 """Chases in which bodies do not point where they walk, their headings made by known rules."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

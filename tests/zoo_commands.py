@@ -1,7 +1,5 @@
 """``python -m animarl_algos.zoo`` for tests, in this process."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

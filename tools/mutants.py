@@ -44,9 +44,9 @@ TARGETS = {
     "animarl_envs/kinematics.py": ("test_kinematics.py",),
     "animarl_envs/worlds/rules.py": ("test_rules.py",),
     "animarl_envs/dtw.py": ("test_dtw_rows.py",),
-    "animarl_algos/losses/terms.py": ("test_loss_terms.py", "test_losses.py"),
+    "animarl_algos/losses/terms.py": ("test_losses.py",),
     "animarl_algos/losses/values.py": ("test_losses.py",),
-    "animarl_algos/replay/sequence_kernels.py": ("test_prioritised_replay.py",),
+    "animarl_algos/replay/sequence_kernels.py": ("test_sequence_buffer.py",),
     "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
     "animarl_algos/evaluation/distances.py": ("test_distances.py",),
 }

@@ -9,6 +9,7 @@ value in ``animarl_algos/learner/settings.py``.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -114,7 +115,7 @@ class MinibatchValues:
 
 
 @dataclass(frozen=True)
-class LossTerm:
+class LossTerm(ABC):
     """One summand of a recipe's loss.
 
     Attributes
@@ -135,9 +136,9 @@ class LossTerm:
         """Return its factor in the sum."""
         return 1.0 if self.weighed_by is None else float(getattr(phase, self.weighed_by))
 
+    @abstractmethod
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         """Return ``(K,)``, one number per individual."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -79,7 +80,7 @@ class Episode:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Episodes:
+class Episodes(ABC):
     """Episodes of the same individuals, laid end to end; arrays are read-only.
 
     Parameters
@@ -144,9 +145,9 @@ class Episodes:
                 )
 
     @property
+    @abstractmethod
     def label(self) -> str:
         """Return the name of these episodes in messages."""
-        raise NotImplementedError
 
     def _refuse(self, what: str) -> NoReturn:
         raise InputError(f"{self.label}: {what}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal
@@ -40,7 +41,7 @@ class Recording:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Species:
+class Species(ABC):
     """Numbers that every world needs. Lengths are in arena units, times in seconds or steps.
 
     ``individuals`` are in order: pursuers first, the target (if any) last; of one pursuer and
@@ -158,9 +159,9 @@ class Species:
         return self.locomotion[0].num_actions
 
     @property
+    @abstractmethod
     def roles(self) -> tuple[str, ...]:
         """``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual."""
-        raise NotImplementedError
 
     @property
     def pursuing(self) -> NDArray[np.bool_]:

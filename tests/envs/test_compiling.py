@@ -1,7 +1,5 @@
 """Compiled code follows its sources, and there is always a place to keep it."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Files are written whole or not at all; what a kill leaves goes with the next write."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What importing the environments brings along, and what is said where an extra is missing."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle

@@ -1,7 +1,5 @@
 """The parts of kernels that move bodies, called alone: the transition, and walls by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

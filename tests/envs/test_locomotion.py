@@ -1,15 +1,13 @@
 """The equation of motion and its inverse, by known answers."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import (
     ACTION_ANGLES,
     ACTION_VECTORS,
@@ -90,8 +88,7 @@ def test_speeds_under_constant_thrust() -> None:
     ],
 )
 def test_impossible_parameters_are_refused(damping: float, thrust: float, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        Locomotion(damping, thrust)
+    refuses(said, Locomotion, damping, thrust)
     assert Locomotion(0.0, 1e-9) != Locomotion(1.0, 1e-9)
 
 
@@ -142,8 +139,7 @@ def test_action_vectors_are_shared_and_cannot_be_written() -> None:
     ],
 )
 def test_impossible_magnitudes_are_refused(magnitudes: Any, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        Locomotion(0.5, 1.0, magnitudes)
+    refuses(said, Locomotion, 0.5, 1.0, magnitudes)
 
 
 def test_magnitudes_may_be_ten_and_an_array() -> None:

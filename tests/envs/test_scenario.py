@@ -1,11 +1,10 @@
 """A scenario's options: what they change, and what is refused by name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import UNFINISHED
@@ -18,8 +17,7 @@ from animarl_envs.species.options import with_options
 
 
 def test_pursuers_do_not_apply_to_a_lone_searcher() -> None:
-    with pytest.raises(InputError, match="num_pursuers"):
-        with_options(SPECIES["silkmoth"], num_pursuers=2)
+    refuses("num_pursuers", with_options, SPECIES["silkmoth"], num_pursuers=2)
 
 
 def test_no_options_leave_the_species_as_it_is() -> None:
@@ -71,8 +69,7 @@ def test_more_pursuers_than_recorded_are_refused() -> None:
 def test_more_of_ones_own_pursuers_than_recorded_start_anywhere() -> None:
     """Own data has no ``demos=None``: the species is made from it all the same."""
     demos = replace(load_packaged("agent"), species="custom")
-    with pytest.raises(InputError, match="or start='uniform'"):
-        make_scenario("custom", demos=demos, num_pursuers=4)
+    refuses("or start='uniform'", make_scenario, "custom", demos=demos, num_pursuers=4)
     scenario = make_scenario("custom", demos=demos, num_pursuers=4, start="uniform")
     assert not scenario.paired and len(scenario.names) == 5
     recorded = make_scenario("custom", demos=demos).species

@@ -1,7 +1,5 @@
 """Foreign data are handled in a process of its own: what it does there becomes one sentence."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs import wall
 from animarl_envs.demos.splits import Splitting, split_recordings
@@ -60,8 +59,7 @@ def test_what_goes_wrong_is_one_sentence_and_the_next_call_works() -> None:
         (refuse, ("g: no",), "g: no"),
         (surprise, (), "KeyError: 'a'"),
     ):
-        with pytest.raises(InputError, match=message):
-            wall.call(function, *arguments, what="f")
+        refuses(message, wall.call, function, *arguments, what="f")
     with pytest.raises(MissingExtraError, match="pip install"):
         wall.call(lack, what="f")
     with pytest.raises(InputError, match="more than 1 s of processor time: cut it"):
@@ -86,8 +84,7 @@ def test_a_regular_expression_that_never_ends_is_refused() -> None:
 
 def test_conditions_are_names() -> None:
     for name in ("=A1", "a\nb", "../a", "x" * 300):
-        with pytest.raises(InputError, match=r"m\.csv: a condition "):
-            conditions_of([name, "b"], "m.csv")
+        refuses(r"m\.csv: a condition ", conditions_of, [name, "b"], "m.csv")
 
 
 def test_a_forked_process_has_a_server_of_its_own() -> None:

@@ -1,7 +1,5 @@
 """The examples run, in every library that the documentation names."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import re

@@ -1,7 +1,5 @@
 """The names that ``animarl_algos`` gives at its front door, and that they cost nothing unasked."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

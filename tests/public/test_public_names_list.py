@@ -1,7 +1,5 @@
 """``public_names.txt``: what the README and the pages use is there, and works."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from importlib import import_module

@@ -1,7 +1,5 @@
 """docs/tutorial.md: its commands and its program run, one after the other, as they stand there."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

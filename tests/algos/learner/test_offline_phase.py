@@ -1,7 +1,5 @@
 """The offline phase beyond the paper's: windows, rates, decay, average, standardised inputs."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

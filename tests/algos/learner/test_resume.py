@@ -1,20 +1,22 @@
 """Exact resume: a run that was killed ends with the same weights as one that never was (CPU)."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import killed_runs
+import numpy as np
 import pytest
 import torch
 import toys
 from pair_learners import SETTINGS, demonstrations, weights
+from refusals import refuses
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
@@ -23,6 +25,7 @@ from animarl_algos.learner.checkpoint import (
     load_checkpoint,
     save_checkpoint,
     serialise_tensors,
+    steps_done,
     summarise_error,
 )
 from animarl_algos.networks.acting_rule import Kind
@@ -187,8 +190,7 @@ def test_a_foreign_checkpoint_is_refused(
     other: Callable[[], SequenceQLearning], words: str, tmp_path: Path
 ) -> None:
     save_checkpoint(make().learn(20), tmp_path)
-    with pytest.raises(InputError, match=words):
-        load_checkpoint(other(), tmp_path)
+    refuses(words, load_checkpoint, other(), tmp_path)
 
 
 DAMAGE: dict[str, Callable[[bytes], bytes]] = {
@@ -208,8 +210,7 @@ def test_a_damaged_checkpoint_is_refused(name: str, damage: str, tmp_path: Path)
     file = save_checkpoint(make().learn(100), tmp_path) / name
     whole = file.read_bytes()
     file.write_bytes(DAMAGE[damage](whole))
-    with pytest.raises(InputError, match="damaged"):
-        load_checkpoint(make(), tmp_path)
+    refuses("damaged", load_checkpoint, make(), tmp_path)
     file.write_bytes(whole)
     load_checkpoint(make(), tmp_path)
 
@@ -234,8 +235,7 @@ def test_one_flipped_bit_of_the_weights_is_seen(tmp_path: Path) -> None:
         load_checkpoint(other, tmp_path)
     run.save_policy("dqdil", model)
     flip_a_bit(tmp_path / "policies" / "dqdil.pt", model)
-    with pytest.raises(InputError, match=r"dqdil.pt has changed .* remove it and train again"):
-        run.load_policy("dqdil", other)
+    refuses(r"dqdil.pt has changed .* remove it and train again", run.load_policy, "dqdil", other)
     assert torch.equal(weights(other), before)
 
 
@@ -243,9 +243,8 @@ def test_what_is_wrong_is_said_in_whole_words(tmp_path: Path) -> None:
     """Not in those of PyTorch, which explains at length how to open a pickle all the same."""
     checkpoint = save_checkpoint(make().learn(20), tmp_path)
     (checkpoint / "model.pt").write_bytes(serialise_tensors({"torch_random_state": make}))
-    with pytest.raises(InputError) as caught:
-        load_checkpoint(make(), tmp_path)
-    assert str(caught.value) == (
+    said = refuses("", load_checkpoint, make(), tmp_path)
+    assert said == (
         f"{checkpoint}: the checkpoint is damaged (model.pt is no whole archive of tensors): "
         "put a copy of this folder in its place, or remove it and start the run anew"
     )
@@ -256,8 +255,7 @@ def test_what_is_wrong_is_said_in_whole_words(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["checkpoint_runs", "checkpoint_1"])
 def test_a_runs_own_folder_may_be_called_as_a_checkpoint(name: str, tmp_path: Path) -> None:
     folder = tmp_path / name
-    with pytest.raises(InputError, match=r"there is no checkpoint"):
-        load_checkpoint(make(), folder)
+    refuses(r"there is no checkpoint", load_checkpoint, make(), folder)
     model, resumed = make().learn(20), make(seed=9)
     save_checkpoint(model, folder)
     load_checkpoint(resumed, folder)
@@ -271,15 +269,13 @@ def test_a_checkpoint_may_be_named_itself(name: str, tmp_path: Path) -> None:
     load_checkpoint(resumed, tmp_path / name)
     assert torch.equal(weights(resumed), weights(model))
     (tmp_path / name / "model.pt").unlink()
-    with pytest.raises(InputError, match=rf"{name}: the checkpoint is damaged"):
-        load_checkpoint(resumed, tmp_path / name)
+    refuses(rf"{name}: the checkpoint is damaged", load_checkpoint, resumed, tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz"])
 def test_a_checkpoint_without_one_of_its_files_is_refused(name: str, tmp_path: Path) -> None:
     (save_checkpoint(make().learn(100), tmp_path) / name).unlink()
-    with pytest.raises(InputError, match=rf"damaged \({name} is missing\)"):
-        load_checkpoint(make(), tmp_path)
+    refuses(rf"damaged \({name} is missing\)", load_checkpoint, make(), tmp_path)
 
 
 def test_a_checkpoint_that_may_not_be_read_is_not_called_damaged(
@@ -292,3 +288,50 @@ def test_a_checkpoint_that_may_not_be_read_is_not_called_damaged(
     monkeypatch.setattr(Path, "read_bytes", forbidden)
     with pytest.raises(InputError, match=r"model.pt: it cannot be read: see to its permissions"):
         load_checkpoint(make(), tmp_path)
+
+
+# -- sIGKILL at random moments, the offline phase included: the same weights as without -----------
+
+
+def kill(run: str, folder: Path, boundaries: int, delay: float) -> None:
+    """Start ``run`` and kill it ``delay`` seconds after so many boundaries between updates."""
+    command = [sys.executable, str(Path(killed_runs.__file__)), run, str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    with process.stdout:
+        for _ in range(boundaries):
+            assert process.stdout.readline() == "boundary\n", "it ended before it was to be killed"
+        time.sleep(delay)
+        process.kill()
+        process.wait()
+
+
+def kills_leave_no_trace(run: str, folder: Path, moments: list[tuple[int, float]]) -> None:
+    """The first of the ``moments`` must lie in the offline phase, the others after it."""
+    straight = killed_runs.RUNS[run](folder / "straight")
+    killed, reached = folder / "killed", []
+    for boundaries, delay in moments:
+        kill(run, killed, boundaries, delay)
+        found = next(iter(killed.rglob("checkpoint_*[0-9]"))).parent
+        latest = latest_checkpoint(found)
+        assert latest is not None
+        reached.append(steps_done(latest))
+    assert reached[0] == 0 < reached[-1] < straight.num_timesteps
+    resumed = killed_runs.RUNS[run](killed)
+    assert torch.equal(weights(straight), weights(resumed))
+    assert straight._n_updates == resumed._n_updates > 0
+
+
+def test_a_short_run_killed_offline_and_online(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    offline = (int(rng.integers(3, killed_runs.EPOCHS + 1)), rng.uniform(0.0, 0.05))
+    online = (int(rng.integers(15, 25)), rng.uniform(0.0, 0.01))
+    kills_leave_no_trace("toy", tmp_path, [offline, online])
+
+
+@pytest.mark.slow
+def test_a_run_of_the_agents_killed_again_and_again(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    offline = [(int(rng.integers(3, killed_runs.EPOCHS + 1)), rng.uniform(0.0, 1.0))]
+    online = [(int(rng.integers(8, 16)), rng.uniform(0.0, 0.1)) for _ in range(4)]
+    kills_leave_no_trace("agent", tmp_path, offline + online)

@@ -1,7 +1,5 @@
 """What a learner saves of itself, and how it goes on from there in an environment."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from collections.abc import Callable
@@ -15,6 +13,7 @@ import torch
 import toys
 from gymnasium.envs.classic_control import CartPoleEnv
 from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
+from refusals import refuses
 
 import animarl_algos.learner.pretraining
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -83,9 +82,7 @@ def test_an_environment_that_does_not_fit_is_refused(
     other: Callable[[], Any], words: str, tmp_path: Path
 ) -> None:
     for model in (DQN.load(saved(tmp_path), device="cpu"), make_pair_learner("dqn")):
-        with pytest.raises(InputError, match=words) as caught:
-            model.set_env(other())
-        assert len(str(caught.value).splitlines()) == 1
+        refuses(words, model.set_env, other())
 
 
 @pytest.mark.parametrize(
@@ -98,8 +95,7 @@ def test_an_environment_that_does_not_fit_is_refused(
 def test_an_environment_that_does_not_fit_is_refused_by_load_too(
     other: Callable[[], Any], words: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match=words):
-        DQN.load(saved(tmp_path), env=other(), device="cpu")
+    refuses(words, DQN.load, saved(tmp_path), env=other(), device="cpu")
 
 
 def test_an_individual_is_not_loaded_as_another(tmp_path: Path) -> None:
@@ -128,8 +124,7 @@ def test_a_replay_memory_keeps_its_longest_episode() -> None:
 def test_a_refused_environment_leaves_the_learner_as_it_was(tmp_path: Path) -> None:
     loaded = DQN.load(saved(tmp_path), device="cpu")
     before = loaded.n_envs
-    with pytest.raises(InputError, match="3 actions learned and 2 here"):
-        loaded.set_env(Narrow(3))
+    refuses("3 actions learned and 2 here", loaded.set_env, Narrow(3))
     assert loaded.n_envs == before
     loaded.set_env(toys.Pair(2))
     assert loaded.learn(20).num_timesteps == 20
@@ -185,8 +180,7 @@ def test_a_learner_saved_in_mid_pretraining_keeps_its_best_epoch(
 
 
 def test_a_learner_without_environment_is_refused() -> None:
-    with pytest.raises(InputError, match="give env="):
-        DQN("GruPolicy", **SETTINGS)
+    refuses("give env=", DQN, "GruPolicy", **SETTINGS)
 
 
 # -- the replay memory ----------------------------------------------------------------------------
@@ -240,7 +234,6 @@ def test_what_is_no_replay_memory_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "array.npy", np.zeros(3))
     np.savez(tmp_path / "arrays.npz", rows=np.zeros(3))
     for name in ("pickle.pkl", "array.npy", "arrays.npz", "missing.npz"):
-        with pytest.raises(InputError, match=name):
-            model.load_replay_buffer(tmp_path / name)
+        refuses(name, model.load_replay_buffer, tmp_path / name)
     with pytest.raises(InputError, match="call set_env first"):
         DQN.load(saved(tmp_path), device="cpu").save_replay_buffer(tmp_path / "memory")

@@ -1,7 +1,5 @@
 """Toys that only the feature under test can solve, each with the ablation that fails."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import confounded

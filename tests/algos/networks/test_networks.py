@@ -1,20 +1,19 @@
 """The stacked networks are what their equations say, and nothing leaks between individuals."""
 
-from __future__ import annotations
-
+import json
 from collections.abc import Callable
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from sequences import LENGTHS, A, B, H, K, N, T, batch, torch_gru, valid_steps
 from torch import nn
 
-from animarl_algos.losses.values import (
-    masked_mean,
-    share_gradients,
-    take_action,
-)
-from animarl_algos.networks.layers import DropoutDraws, Packing
+from animarl_algos.losses.values import masked_mean, share_gradients, take_action
+from animarl_algos.networks.acting_rule import Acting, two_stage_logits
+from animarl_algos.networks.kernels import tanh_float32
+from animarl_algos.networks.layers import DropoutDraws, Packing, StackedGRU
 from animarl_algos.networks.networks import QOutput, StackedQNetwork
 from animarl_envs.errors import InputError
 
@@ -336,3 +335,165 @@ def test_dropout_is_one_mask_per_sequence_and_keeps_the_mean() -> None:
     alone = DropoutDraws(0.25, [1, 2], ("b",)).masks(2, 500, 16)
     assert alone is not None and torch.equal(alone[:, 0], masks[:, 1])
     assert DropoutDraws(0.0, [1], ("a",)).masks(2, 3, 4) is None
+
+
+# -- the acting rule: data that is checked, written and read, and what it chooses -----------------
+
+
+RULES = {
+    "greedy": Acting(),
+    "boltzmann:0.7": Acting.boltzmann(0.7),
+    "boltzmann:0.7,0.25,3": Acting.boltzmann([0.7, 0.25, 3.0]),
+    "boltzmann:0.7,0.4/0.6/0.35": Acting.boltzmann([0.7, 0.4], thrust=0.6, direction=0.35),
+    "epsilon:0.1": Acting.epsilon_greedy(0.1),
+}
+
+
+@pytest.mark.parametrize("text", RULES)
+def test_a_rule_survives_writing(text: str) -> None:
+    rule = RULES[text]
+    assert Acting.parse(text) == rule and str(rule) == text
+    assert Acting.from_json(json.loads(json.dumps(rule.to_json()))) == rule
+
+
+def test_a_policy_is_given_a_rule_for_its_own_individuals() -> None:
+    from test_policies import make
+
+    policy = make(acting=Acting.boltzmann(0.7))
+    assert policy.acting.temperature == (0.7,)
+    with pytest.raises(InputError, match="2 numbers for 3 individuals"):
+        policy.acting = Acting.boltzmann([1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Acting("argmax"), "'argmax': choose greedy, boltzmann, epsilon"),  # type: ignore[arg-type]
+        (lambda: Acting.boltzmann(0.0), "temperature is 0.0"),
+        (lambda: Acting.boltzmann([]), "holds no number"),
+        (lambda: Acting.boltzmann([1.0, np.nan]), "temperature is nan"),
+        (lambda: Acting.epsilon_greedy(1.5), "epsilon is 1.5"),
+        (lambda: Acting.parse("boltzmann"), "write greedy, boltzmann"),
+        (lambda: Acting.parse("greedy:1"), "write greedy, boltzmann"),
+        (lambda: Acting.parse("epsilon:a"), "write greedy, boltzmann"),
+        (lambda: Acting.from_json({"kind": "greedy"}), r"not \['kind'\]"),
+        (lambda: Acting.parse("boltzmann:1/0.5"), "write greedy, boltzmann"),
+        (lambda: Acting.parse("epsilon:0.1/0.5/0.5"), "write greedy, boltzmann"),
+        (lambda: Acting.boltzmann(1.0, direction=0.0), "direction is 0.0"),
+        (lambda: Acting.boltzmann([1.0, 2.0]).checked(3, 13), "2 numbers for 3"),
+        (lambda: Acting.boltzmann(1.0, thrust=0.5).checked(1, 12), "not 12 actions"),
+    ],
+)
+def test_what_is_no_rule_is_refused(make: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_each_individual_is_sampled_at_its_own_temperature() -> None:
+    values = np.array([[2.0, 1.0, 0.0]] * 2)
+    draw = np.random.default_rng(0).random(40_000)
+    chosen = Acting.boltzmann([0.5, 2.0]).choose(np.tile(values, (20_000, 1)), draw, 2)
+    for k, temperature in enumerate((0.5, 2.0)):
+        expected = np.exp(values[k] / temperature) / np.exp(values[k] / temperature).sum()
+        counts = np.bincount(chosen[k::2], minlength=3) / 20_000
+        np.testing.assert_allclose(counts, expected, atol=5 * np.sqrt(0.25 / 20_000))
+
+
+def odds(thrust: float, direction: float, logits: Any) -> Any:
+    """What the rule's formula says, written out action by action."""
+    p = np.exp(logits) / np.exp(logits).sum()
+    together = [p[12 * m : 12 * m + 12].sum() for m in range(len(p) // 12)] + [p[-1]]
+    hard = np.array(together) ** (1 / thrust)
+    hard /= hard.sum()
+    found = np.empty_like(p)
+    for m in range(len(p) // 12):
+        way = (p[12 * m : 12 * m + 12] / together[m]) ** (1 / direction)
+        found[12 * m : 12 * m + 12] = hard[m] * way / way.sum()
+    found[-1] = hard[-1]
+    return found
+
+
+@pytest.mark.parametrize("thrusts", [1, 2])
+def test_how_hard_and_which_way_have_temperatures_of_their_own(thrusts: int) -> None:
+    logits = np.random.default_rng(thrusts).normal(size=12 * thrusts + 1)
+    for thrust, direction in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3), (0.6, 0.35)):
+        sampled = np.exp(two_stage_logits(logits[None], thrust, direction)[0])
+        np.testing.assert_allclose(sampled, odds(thrust, direction, logits), rtol=1e-12)
+    assert np.isfinite(two_stage_logits(1e4 * logits[None], 0.1, 0.1)).all()
+
+
+# -- the stacked GRU equals PyTorch's for each individual, and packing loses no step --------------
+
+
+def made(dtype: torch.dtype, device: str = "cpu") -> tuple[StackedGRU, torch.Tensor]:
+    """K GRUs with large weights, and their first state."""
+    generator = torch.Generator().manual_seed(0)
+    layer = StackedGRU(N, H, [generator] * K)
+    for parameter in layer.parameters():
+        parameter.data = torch.randn(parameter.shape, generator=generator, dtype=dtype) / 2
+    state = torch.randn((K, B, H), generator=generator, dtype=dtype) / 2
+    return layer.to(device), state.to(device).requires_grad_()
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("packed", [False, True])
+def test_gru_equals_torch_in_values_and_all_gradients(
+    dtype: torch.dtype, packed: bool, device: str
+) -> None:
+    """Kernels in single precision on the CPU, PyTorch's own loop elsewhere."""
+    single = dtype == torch.float32
+    tolerance = dict(rtol=1e-4, atol=3e-6) if single else dict(rtol=1e-9, atol=1e-11)
+    layer, state = made(dtype, device)
+    arguments = [state, *layer.weights]
+    inputs = batch()[0].to(device, dtype).requires_grad_()
+    seen = torch.ones(K, T, B, dtype=torch.bool)
+    packing = Packing.full(T, B, device)
+    if packed:
+        packing, seen = Packing.from_lengths(LENGTHS, T, device), valid_steps()
+    upstream = torch.randn(K, T, B, H, dtype=torch.float64).to(device, dtype)
+    upstream = upstream * seen[..., None].to(device)
+    out = packing.unpack(layer(packing.pack(inputs), state, packing))
+    final = packing.final(packing.pack(out), state)
+    gradients = torch.autograd.grad((out * upstream).sum(), [inputs, *arguments])
+    for k in range(K):
+        reference = torch_gru(k, *layer.weights)
+        one_input = inputs[k].detach().requires_grad_()
+        one_state = state[k].detach().unsqueeze(0).requires_grad_()
+        expected, _ = reference(one_input, one_state)
+        keep = seen[k].to(device)
+        torch.testing.assert_close(out[k][keep], expected[keep], **tolerance)
+        (expected * upstream[k]).sum().backward()
+        wanted = [
+            one_input.grad,
+            one_state.grad[0],
+            reference.weight_ih_l0.grad.T,
+            reference.weight_hh_l0.grad.T,
+            reference.bias_ih_l0.grad[None],
+            reference.bias_hh_l0.grad[None],
+        ]
+        for got, want in zip(gradients, wanted):
+            torch.testing.assert_close(got[k], want, **tolerance)
+        for b in range(B):
+            last = int(seen[k, :, b].sum()) - 1
+            want = expected[last, b] if last >= 0 else state[k, b]
+            torch.testing.assert_close(final[k, b], want, **tolerance)
+
+
+def test_tanh_approximation_is_within_float32_rounding() -> None:
+    x = np.linspace(-20, 20, 4001, dtype=np.float32)
+    got = np.array([tanh_float32(v) for v in x])
+    np.testing.assert_allclose(got, np.tanh(x.astype(np.float64)), atol=4e-7)
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
+def test_packing_keeps_every_valid_step_in_any_order(order: list[int]) -> None:
+    lengths = LENGTHS[:, order]
+    packing = Packing.from_lengths(lengths, T)
+    assert (np.diff(packing.active) <= 0).all()
+    observations = batch()[0]
+    restored = packing.unpack(packing.pack(observations))
+    valid = valid_steps(lengths)
+    assert torch.equal(restored[valid], observations[valid])
+    if order == [0, 1, 2, 3]:
+        assert packing.active.tolist() == [4, 4, 3, 3, 2, 2, 1]

@@ -1,7 +1,5 @@
 """Acting: routing of slots, memory between calls, the acting rules, saving and loading."""
 
-from __future__ import annotations
-
 import operator
 from pathlib import Path
 
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
+from refusals import refuses
 from stable_baselines3.common.utils import ConstantSchedule
 
 from animarl_algos.losses.values import ValueDistribution
@@ -191,8 +190,7 @@ def test_who_only_acts_has_no_optimiser() -> None:
     assert list(map(id, held)) == list(map(id, policy.q_net.parameters()))
     for online, target in zip(policy.q_net.parameters(), policy.q_net_target.parameters()):
         assert torch.equal(online, target) and not target.requires_grad
-    with pytest.raises(InputError, match="do not fit"):
-        make(optimizer_kwargs={"lrr": 1})
+    refuses("do not fit", make, optimizer_kwargs={"lrr": 1})
 
 
 def test_greedy_ties_go_to_the_lowest_index_and_draw_nothing() -> None:
@@ -281,8 +279,7 @@ def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
     ],
 )
 def test_foreign_spaces_are_refused(observation_space, action_space, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        GruPolicy(observation_space, action_space, ConstantSchedule(1e-3))
+    refuses(message, GruPolicy, observation_space, action_space, ConstantSchedule(1e-3))
 
 
 @pytest.mark.parametrize(
@@ -301,5 +298,4 @@ def test_misfitting_memories_are_refused(slots: int, previous_action: int, messa
     policy = make()
     hidden, previous = policy.initial_state(slots)
     state = (hidden, np.full_like(previous, previous_action))
-    with pytest.raises(InputError, match=message):
-        policy.predict(np.zeros((S, *SHAPE), dtype=np.float32), state)
+    refuses(message, policy.predict, np.zeros((S, *SHAPE), dtype=np.float32), state)

@@ -1,7 +1,5 @@
 """IQ-Learn: its loss by hand, what ends are worth, and an expert that a clone does not find."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache

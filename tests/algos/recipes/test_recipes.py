@@ -1,8 +1,7 @@
 """The recipes: they run, repeat, save, load, log, and learn offline."""
 
-from __future__ import annotations
-
 import sys
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,19 @@ import pytest
 import torch
 import toys
 from pair_learners import SETTINGS, demonstrations, make_pair_learner, weights
+from reference_learner import ALPHA, ReferenceLearner
+from scripted_pair import ScriptedPair, log_draws
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger, configure
 
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.networks.acting_rule import Acting, Kind
-from animarl_algos.recipes.registry import DQN, RECIPES
+from animarl_algos.recipes.registry import DQDIL, DQN, RECIPES, named_recipe
+from animarl_algos.replay.store import SequenceBatch
+from animarl_envs.wrappers import DTWReward
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -272,3 +279,261 @@ def test_the_demonstrated_action_comes_to_rank_first(name: str) -> None:
         assert best[figure] == min(row[figure] for row in progress.history)
         if name == "dqcil-pt":
             assert 0.0 <= best["val/treatment_balanced_accuracy"] <= 1.0
+
+
+# -- the recipes train each individual as if it were alone: what is stacked does not mix ----------
+
+
+@pytest.fixture
+def in_double() -> Iterator[None]:
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+@pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-dqdil-pt"])
+def test_individuals_together_are_individuals_alone(name: str, in_double: None) -> None:
+    """Offline, from the same demonstrations and seed: the same weights, to rounding.
+
+    In double precision: Adam divides by the size of the gradient, so that rounding of a gradient
+    near zero makes steps as large as any.
+    """
+
+    class Alone(toys.Recall):
+        num_observations = 4
+
+    together = make_pair_learner(name)
+    together.pretrain()
+    for k, who in enumerate(toys.Pair.individuals):
+        env = Alone(2)
+        env.individuals = (who,)
+        settings = SETTINGS | {"offline_epochs": 2}
+        alone = named_recipe(name).algorithm(
+            "GruPolicy", env, demonstrations=demonstrations(individuals=(who,)), **settings
+        )
+        run = alone.pretrain()
+        for whole, single in zip(together.offline_progress.history, run.history, strict=True):
+            assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
+        assert run.best_epochs == together.offline_progress.best_epochs[k : k + 1]
+        mine, own = together.q_net.parameters(), alone.q_net.parameters()
+        for stacked, single in zip(mine, own, strict=True):
+            torch.testing.assert_close(stacked[k], single[0], atol=1e-10, rtol=1e-10)
+
+
+# -- after offline training the demonstrated action ranks high among the thirteen (validation) ----
+
+
+CHANCE = 3 / 13
+
+
+@pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-bc", "qr-dqaas", "qr-dqdil-pt"])
+def test_the_demonstrated_action_is_among_the_top_three(name: str) -> None:
+    """On the packaged agents; benchmarks/ranks.py gives the shares after whole training."""
+    overrides = {"offline_epochs": 2, "offline_learning_rate": 1e-2, "buffer_size": 2000}
+    preset = learner_preset(name, "AnimaRL/Agent-v0", "default", overrides)
+    env = SlotVecEnv("agent", 1, **preset.env_kwargs)
+    arguments = constructed(preset.arguments)
+    model = named_recipe(name).algorithm(env=env, seed=0, device="cpu", **arguments)
+    progress = model.pretrain()
+    figures = progress.history[progress.best_epoch - 1]
+    assert figures["val/top_3"] > 2 * CHANCE
+    assert all(figures[f"val/top_3/{who}"] > 1.5 * CHANCE for who in env.individuals)
+
+
+# -- what joins the parts of a learner: each schedule, state and weight reaches where it belongs --
+
+
+NEVER = 10**9
+WIRING: dict[str, Any] = {
+    "buffer_size": 1000,
+    "batch_size": 3,
+    "offline_epochs": 0,
+    "policy_kwargs": {"hidden": 6},
+    "seed": 2,
+    "device": "cpu",
+}
+
+
+def learner(
+    recipe: type[SequenceQLearning] = DQDIL, **more: Any
+) -> tuple[SequenceQLearning, ScriptedPair]:
+    env = ScriptedPair(2)
+    return recipe("GruPolicy", env, **WIRING | more), env
+
+
+def stored(model: SequenceQLearning, columns: int = 200) -> SequenceBatch:
+    """Enough draws to have met every sequence of the memory."""
+    assert model.replay_buffer is not None
+    return model.replay_buffer.sample(columns)
+
+
+# -- schedules ------------------------------------------------------------------------------------
+
+
+def test_steps_before_learning_starts_are_acted_at_random() -> None:
+    model, env = learner(
+        learning_starts=200,
+        updates_per_episode=0.0,
+        exploration_initial_eps=0.0,
+        exploration_final_eps=0.0,
+    )
+    model.learn(400)
+    greedy = []
+    state, begins = model.policy.initial_state(4), np.ones(4, dtype=bool)
+    for step in env.steps:
+        acted = step.actions.ravel()
+        chosen, (hidden, _) = model.policy.predict(
+            step.observations.reshape(4, -1), state, begins, deterministic=True
+        )
+        greedy.append(chosen == acted)
+        state, begins = (hidden, acted), np.repeat(step.done, 2)
+    assert np.mean(greedy[:100]) == pytest.approx(1 / 3, abs=0.1)  # four standard errors
+    assert np.all(greedy[100:])
+
+
+# -- replay ---------------------------------------------------------------------------------------
+
+
+def test_an_ended_episode_is_forgotten_in_its_own_slots() -> None:
+    model, _ = learner(learning_starts=NEVER)
+    ended = going = 0
+    model.learn(2)
+    for _ in range(40):
+        begins = model._last_episode_starts
+        hidden, previous = model.memory
+        assert (hidden[begins] == 0.0).all() and (previous[begins] == 3).all()
+        assert hidden[~begins].any(axis=1).all() and (previous[~begins] < 3).all()
+        ended, going = ended + begins.sum(), going + (~begins).sum()
+        model.learn(2, reset_num_timesteps=False)
+    assert ended > 5 and going > 5
+
+
+def test_the_task_reward_is_stored_where_the_reward_is_shaped_already() -> None:
+    env = DTWReward(gym.make("AnimaRL/Agent-v0"), alpha=3.0)
+    model = DQDIL("MlpPolicy", env, **WIRING, learning_starts=NEVER)
+    shaped: list[list[float]] = [[]]
+    task: list[list[float]] = [[]]
+
+    class Watch(BaseCallback):
+        def _on_step(self) -> bool:
+            shaped[-1].append(self.locals["rewards"][0])
+            task[-1].append(self.locals["infos"][0]["task_reward"])
+            if self.locals["dones"][0]:
+                shaped.append([])
+                task.append([])
+            return True
+
+    model.learn(400, callback=Watch())
+    batch = stored(model, 20)
+    for column, episode in enumerate(batch.indices[0]):
+        found = batch.rewards[0, : len(task[episode]), column].numpy()
+        np.testing.assert_array_equal(found, np.float32(task[episode]))
+        assert not np.allclose(found, shaped[episode])
+
+
+# -- update ---------------------------------------------------------------------------------------
+
+
+# -- the offline phase ----------------------------------------------------------------------------
+
+
+def test_the_target_is_renewed_after_every_offline_epoch() -> None:
+    model = make_pair_learner(
+        "dqdil-pt", demonstrations=demonstrations(), offline_epochs=3, offline_learning_rate=1e-2
+    )
+    seen = []
+
+    class Look:
+        def at_boundary(self) -> None:
+            nets = (model.policy.q_net, model.policy.q_net_target)
+            seen.append([torch.cat([p.detach().flatten() for p in n.parameters()]) for n in nets])
+
+        def release(self) -> None:
+            pass
+
+    model.boundary_hooks = [Look()]
+    model.pretrain()
+    assert len(seen) == 3
+    for online, target in seen:
+        assert torch.equal(online, target)
+    assert not torch.equal(seen[0][0], seen[1][0])
+
+
+# -- whole runs of the learners against a plain reference that follows the same steps and draws ---
+
+
+STEPS = 120
+TOLERANCE = 1e-4
+FOLLOWED: dict[str, Any] = {
+    "learning_rate": lambda remaining: 0.01 * remaining,
+    "buffer_size": 1000,
+    "batch_size": 3,
+    "gamma": 0.9,
+    "alpha": 0.7,
+    "lambda1": 1e-3,
+    "lambda2": 0.6,
+    "lambda3": 0.8,
+    "max_grad_norm": 1.0,
+    "tau": 0.3,
+    "target_update_interval": (10, "step"),
+    "learning_starts": 20,
+    "exploration": "epsilon",
+    "exploration_initial_eps": 0.5,
+    "exploration_final_eps": 0.3,
+    "exploration_steps": 100,
+    "offline_epochs": 0,
+    "seed": 5,
+    "device": "cpu",
+}
+PIECES = {"sequence_length": 5, "burn_in": 2}
+PAPERS_NETWORK: dict[str, Any] = {
+    "hidden": 6, "depth": 2, "head_layers": 1, "dropout": 0.0, "previous_action": None
+}  # fmt: skip
+MEMORIES: dict[str, tuple[str, dict[str, Any]]] = {
+    "recomputed state": ("GruPolicy", PIECES | {"state_mode": "recompute"}),
+    "stored state": ("GruPolicy", PIECES | {"state_mode": "stored"}),
+    "whole episodes": ("GruPolicy", {}),
+    "feed-forward": ("MlpPolicy", PIECES),
+}
+
+
+@pytest.mark.parametrize("memory", MEMORIES)
+@pytest.mark.parametrize("name", ["dqdil", "dqaas", "dqcil", "qr-dqdil", "qr-dqaas", "qr-dqcil"])
+def test_a_run_equals_its_reference(name: str, memory: str) -> None:
+    policy, pieces = MEMORIES[memory]
+    env = ScriptedPair(2, flagged="dqcil" in name)
+    network = PAPERS_NETWORK | ({"n_quantiles": 4} if name.startswith("qr") else {})
+    model = named_recipe(name).algorithm(policy, env, **FOLLOWED, **pieces, policy_kwargs=network)
+    references = [ReferenceLearner(model, k, STEPS) for k in range(2)]
+    log_draws(model, env)
+    model.learn(STEPS)
+    assert model._n_updates >= 8
+    nets = (model.policy.q_net, model.policy.q_net_target)
+    buffer = model.replay_buffer
+    assert buffer is not None
+    for k, reference in enumerate(references):
+        begun = dict(reference.online)
+        reference.follow(env.log)
+        for net, expected in zip(nets, (reference.online, reference.target)):
+            for part, parameter in net.named_parameters():
+                torch.testing.assert_close(
+                    parameter[k].double(), expected[part], rtol=0.0, atol=TOLERANCE, msg=part
+                )
+        moved = [(reference.online[n] - begun[n]).abs().max() for n in begun]
+        assert max(moved) > 100 * TOLERANCE
+        np.testing.assert_allclose(
+            buffer.trees.priorities[k][: buffer.num_sequences],
+            np.array(reference.priorities) ** ALPHA,
+            rtol=0.0,
+            atol=TOLERANCE,
+        )
+
+
+def test_the_run_holds_every_case() -> None:
+    """Both ends, at different times in the two copies, and labels missing."""
+    env = ScriptedPair(2)
+    named_recipe("dqaas").algorithm("GruPolicy", env, **FOLLOWED).learn(STEPS)
+    assert any(step.terminated.any() for step in env.steps)
+    assert any(step.truncated.any() for step in env.steps)
+    assert sum(step.done[0] != step.done[1] for step in env.steps) > 10
+    assert any((step.labels < 0).any() for step in env.steps)

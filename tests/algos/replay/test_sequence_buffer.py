@@ -1,8 +1,7 @@
 """The sequence replay against a plain Python reference that keeps everything in lists."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,15 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refuses
+from scipy import stats
 from step_streams import NUM_ACTIONS, STATE, Stream, fill, make_buffer
 
+from animarl_algos.replay import sequence_buffer
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.sequence_kernels import SumTrees, find_leaf, set_leaf
 from animarl_algos.replay.store import SequenceBatch
+from animarl_envs.errors import InputError
 
 
 @dataclass
@@ -245,3 +249,210 @@ def test_moments_are_those_of_the_episodes_that_are_held() -> None:
     held = np.concatenate(kept[-2:])
     np.testing.assert_allclose(mean, held.mean(0), atol=1e-6)
     np.testing.assert_allclose(sd, held.std(0), atol=1e-6)
+
+
+# -- prioritised replay: the sum tree, the proportional rule, and the importance weights ----------
+
+
+def set_leaves(trees: SumTrees, k: int, leaves: Any, values: Any) -> None:
+    for leaf, value in zip(leaves, values, strict=True):
+        set_leaf(trees.nodes, k, leaf, value)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 12), st.floats(0, 1e6)), min_size=1, max_size=40))
+def test_the_sum_tree_keeps_its_sums(changes: list[tuple[int, float]]) -> None:
+    trees, plain = SumTrees(1, 13), np.zeros(13)
+    for leaf, value in changes:
+        set_leaves(trees, 0, [leaf], [value])
+        plain[leaf] = value
+    np.testing.assert_array_equal(trees.priorities[0], plain)
+    np.testing.assert_allclose(trees.nodes[0, 1], plain.sum(), rtol=1e-12)
+    again = SumTrees(1, 13)
+    held = np.flatnonzero(plain)
+    again.restore(held, plain[None, held])
+    np.testing.assert_array_equal(again.nodes, trees.nodes)
+
+
+def test_a_leaf_is_found_by_the_cumulative_priority() -> None:
+    """By hand: shares end at 0.5, 0.5, 3.5 and 5; an end belongs to the next leaf that has any."""
+    trees = SumTrees(2, 4)
+    set_leaves(trees, 1, [0, 1, 2, 3], [0.5, 0.0, 3.0, 1.5])
+    found = {0.0: 0, 0.49: 0, 0.5: 2, 3.49: 2, 3.5: 3, 4.99: 3, 5.0: 3, 5.1: 3}
+    assert {mass: find_leaf(trees.nodes, 1, mass) for mass in found} == found
+    set_leaves(trees, 1, [3], [0.0])
+    assert find_leaf(trees.nodes, 1, 3.6) == 2  # rounding never leads to a leaf without priority
+
+
+def filled_with_priorities(
+    alpha: float = 0.7, **options: Any
+) -> tuple[SequenceReplayBuffer, np.ndarray]:
+    """A buffer of at least 8 episodes whose errors are 1, 2, 3, ... by serial number."""
+    stream = Stream(1, 1, 2, 4, seed=3)
+    buffer = fill(make_buffer(stream, 2000, alpha=alpha, **options), stream, 40)
+    serials = np.arange(buffer.num_sequences)[None]
+    buffer.update_priorities(serials, serials + 1.0)
+    return buffer, (serials[0] + 1.0 + 1e-6) ** alpha
+
+
+@pytest.mark.parametrize("stratified", [True, False])
+def test_draws_follow_the_proportional_rule(stratified: bool) -> None:
+    buffer, priorities = filled_with_priorities(stratified=stratified)
+    size = 8 if stratified else 4000
+    draws = np.concatenate([buffer.sample(size).indices[0] for _ in range(4000 // size)])
+    counts = np.bincount(draws, minlength=len(priorities))
+    expected = len(draws) * priorities / priorities.sum()
+    assert stats.chisquare(counts, expected).pvalue > 0.001
+
+
+def test_uniform_draws_are_uniform_and_unweighted() -> None:
+    stream = Stream(1, 2, 2, 4, seed=3)
+    buffer = fill(make_buffer(stream, 30, prioritized=False, stratified=False), stream, 80)
+    batch = buffer.sample(3000)
+    counts = np.unique(batch.indices[1], return_counts=True)[1]
+    assert len(counts) == buffer.num_sequences > 3
+    assert stats.chisquare(counts).pvalue > 0.001
+    assert (batch.weights == 1).all()
+
+
+def test_importance_weights_by_formula() -> None:
+    buffer, priorities = filled_with_priorities(beta_start=0.4, beta_end=1.0)
+    for progress, beta in ((0.0, 0.4), (0.5, 0.7), (1.0, 1.0), (2.0, 1.0)):
+        batch = buffer.sample(16, progress)
+        probability = priorities[batch.indices[0]] / priorities.sum()
+        weights = (len(priorities) * probability) ** -beta
+        np.testing.assert_allclose(batch.weights[0], weights / weights.max(), rtol=1e-5)
+
+
+def test_new_sequences_get_the_largest_priority_seen() -> None:
+    buffer, _ = filled_with_priorities(alpha=1.0)
+    count = buffer.num_sequences
+    # The episode with the largest error loses it; a new one still enters with that error.
+    buffer.update_priorities(np.array([[count - 1]]), np.array([[0.5]]))
+    for step in Stream(1, 1, 2, 4, seed=9, end_rate=2.0).steps(1):
+        buffer.add(**step)
+    assert buffer.num_sequences == count + 1
+    held = buffer.trees.priorities[0, : count + 1]
+    assert held[count - 1] == pytest.approx(0.5, abs=1e-5)
+    assert held[count] == pytest.approx(count, abs=1e-5)
+
+
+def test_errors_of_evicted_sequences_change_nothing() -> None:
+    stream = Stream(1, 1, 2, 4, seed=3)
+    buffer = make_buffer(stream, 12)
+    steps = list(stream.steps(80))
+    for step in steps[:20]:
+        buffer.add(**step)
+    old = buffer.sample(4).indices
+    for step in steps[20:]:
+        buffer.add(**step)
+    before = buffer.trees.nodes.copy()
+    buffer.update_priorities(old, np.full(old.shape, 50.0))
+    np.testing.assert_array_equal(buffer.trees.nodes, before)
+    assert buffer.ring.max_priority.tolist() == [1.0]
+
+
+# -- what a sequence replay takes of the memory, what it refuses, and how its state goes on -------
+
+
+def test_memory_is_stated_and_only_its_used_part_is_saved() -> None:
+    stream = Stream(4, 2, 3, 9, seed=11)
+    buffer = fill(make_buffer(stream, 60_000), stream, 30)
+    rows = buffer.ring.frames.observations.nbytes
+    assert rows == 60_000 * 2 * 3 * 4 < buffer.nbytes
+    assert sum(np.asarray(value).nbytes for value in buffer.state().values()) < 0.01 * rows
+
+
+def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sequence_buffer, "available_memory", lambda: 10 * 2**20)
+    with pytest.raises(InputError, match=r"buffer_size 1000000 needs .* GiB .* available"):
+        SequenceReplayBuffer(1_000_000, 18, 3, 13, 148)
+    refuses("5000 copies", SequenceReplayBuffer, 1000, 18, 3, 13, 148, 5000)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"buffer_size": 9}, "buffer_size 9 cannot hold an episode of 9 steps"),
+        ({"sequence_length": 4, "burn_in": 4}, "burn_in 4 does not fit"),
+        ({"burn_in": 2}, "set sequence_length"),
+        ({"state_mode": "zero", "sequence_length": 4, "burn_in": 1}, "set it to 0"),
+        ({"state_mode": "kept", "sequence_length": 4}, "choose one of recompute, stored, zero"),
+    ],
+)
+def test_bad_settings_are_refused(options: dict[str, Any], message: str) -> None:
+    sizes = {
+        "buffer_size": 100,
+        "observation_dim": 3,
+        "num_individuals": 2,
+        "num_actions": 5,
+        "max_episode_steps": 9,
+    }
+    refuses(message, SequenceReplayBuffer, **sizes | options)
+
+
+def test_bad_steps_are_refused() -> None:
+    stream = Stream(2, 2, 3, 4, seed=1, end_rate=0.0)
+    step = next(stream.steps(1))
+    buffer = make_buffer(stream, 50)
+    with pytest.raises(ValueError, match="reshape"):
+        buffer.add(**step | {"observations": np.zeros((2, 2, 4))})
+    refuses(r"must lie in 0 \.\. 4", buffer.add, **step | {"actions": np.full((2, 2), 5)})
+    refuses("no finished episode", buffer.sample, 2)
+    with pytest.raises(InputError, match="past 4 steps"):
+        for _ in range(5):
+            buffer.add(**step | {"truncated": np.zeros(2, dtype=bool)})
+    with pytest.raises(InputError, match="finite"):
+        buffer.update_priorities(np.zeros((2, 1), dtype=np.int64), np.full((2, 1), np.nan))
+
+
+# -- its state ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["episodes", "pieces", "uniform"])
+def test_a_restored_buffer_goes_on_identically(kind: str, tmp_path: Path) -> None:
+    stream = Stream(3, 2, 3, 9, seed=11, warmup_steps=1)
+    options: dict[str, Any] = {
+        "episodes": {},
+        "pieces": {"sequence_length": 5, "burn_in": 2, "state_mode": "stored", "state_size": STATE},
+        "uniform": {"prioritized": False},
+    }[kind]
+    steps = list(stream.steps(120))
+    one, other = (
+        make_buffer(stream, 60, seed=1, **options),
+        make_buffer(stream, 60, seed=2, **options),
+    )
+
+    def go(buffer: SequenceReplayBuffer, part: list[dict[str, Any]]) -> list[SequenceBatch]:
+        batches = []
+        for step in part:
+            buffer.add(**step)
+            if buffer.num_sequences:
+                batches.append(buffer.sample(4, 0.3))
+                errors = np.cos(batches[-1].indices) + 1.5
+                buffer.update_priorities(batches[-1].indices, errors)
+        return batches
+
+    go(one, steps[:71])
+    go(other, steps[50:60])  # what it held is replaced
+    np.savez(tmp_path / "replay.npz", **one.state())
+    with np.load(tmp_path / "replay.npz", allow_pickle=False) as stored:
+        other.restore(stored)
+    for left, right in zip(go(one, steps[71:]), go(other, steps[71:]), strict=True):
+        np.testing.assert_array_equal(left.indices, right.indices)
+        for name in ("observations", "previous_actions", "rewards", "mask", "weights", "labels"):
+            assert torch.equal(getattr(left, name), getattr(right, name))
+        if kind == "pieces":
+            assert left.initial_state is not None and right.initial_state is not None
+            assert torch.equal(left.initial_state, right.initial_state)
+    for name, value in one.state().items():
+        np.testing.assert_array_equal(value, other.state()[name])
+
+
+def test_a_foreign_or_damaged_state_is_refused() -> None:
+    stream = Stream(1, 1, 2, 4, seed=3)
+    buffer = fill(make_buffer(stream, 50), stream, 30)
+    refuses("buffer_size 60, this run has 50", buffer.restore, make_buffer(stream, 60).state())
+    state = buffer.state()
+    state["ring_rewards"] = state["ring_rewards"][:-1]
+    refuses("damaged", buffer.restore, state)

@@ -1,12 +1,11 @@
 """The packaged flies and newts: synthetic, as published where it is said, obeying their world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
@@ -257,18 +256,13 @@ def test_short_runs_belong_to_their_neighbours():
 def test_bad_input_is_refused_in_one_sentence(tmp_path, capsys):
     with pytest.raises(InputError, match="choose another --seed"):
         courtship.make("fly", 0, replace(FEW, total=900.0))  # four times as long as they last
-    with pytest.raises(InputError, match="choose another --seed"):
-        courtship.make("fly", 0, replace(FEW, touch_rates=(0.0, 1.0)))
-    with pytest.raises(InputError, match="7 weights"):
-        replace(BEHAVIOURS["fly"], female=(1.0, 1.0))
-    with pytest.raises(InputError, match="peak is 0"):
-        replace(BEHAVIOURS["fly"], peak=0.0)
+    refuses("choose another --seed", courtship.make, "fly", 0, replace(FEW, touch_rates=(0.0, 1.0)))
+    refuses("7 weights", replace, BEHAVIOURS["fly"], female=(1.0, 1.0))
+    refuses("peak is 0", replace, BEHAVIOURS["fly"], peak=0.0)
     assert courtship.main(["fit", "fly", "--data", str(tmp_path)]) == 2
     assert str(tmp_path) in capsys.readouterr().err
-    with pytest.raises(InputError, match="dodo"):
-        courtship.make("dodo", 0)
-    with pytest.raises(InputError, match="no pause"):
-        measure([np.zeros((50, 1, 2))], 0.1, "a stone")
+    refuses("dodo", courtship.make, "dodo", 0)
+    refuses("no pause", measure, [np.zeros((50, 1, 2))], 0.1, "a stone")
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,7 +1,5 @@
 """What is known of whole recordings beside their tracks, scales in common, and merged files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +8,7 @@ import pandas as pd
 import pytest
 from commands import animarl
 from numpy.typing import NDArray
+from refusals import refuses
 
 from animarl_algos.cli.data import merged
 from animarl_algos.cli.describing import hints
@@ -17,7 +16,6 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.summary import unit_of
-from animarl_envs.errors import InputError
 from animarl_envs.importing.cutting import Cutting, cut_episodes, find_contact_distance
 from animarl_envs.importing.readers import read
 from animarl_envs.importing.sessions import read_sessions, sessions_by_name
@@ -112,8 +110,7 @@ def test_metadata_from_names_of_recordings(files: list[Path], tmp_path: Path) ->
         ("_(?P<condition>.)", "6 conditions"),
         ("(?P<split>sham|drug)", "split 'sham' is unknown"),
     ):
-        with pytest.raises(InputError, match=message):
-            sessions_by_name(wrong, NAMES)
+        refuses(message, sessions_by_name, wrong, NAMES)
 
 
 def test_metadata_names_the_animals_of_each_recording(tmp_path: Path) -> None:
@@ -156,8 +153,7 @@ WRONG = {
 def test_metadata_that_is_wrong_is_refused_by_line(text: str, tmp_path: Path) -> None:
     path = tmp_path / "m.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=WRONG[text]):
-        read_sessions(path)
+    refuses(WRONG[text], read_sessions, path)
 
 
 def test_metadata_without_a_recording_or_of_nobody_is_refused(
@@ -172,8 +168,7 @@ def test_metadata_without_a_recording_or_of_nobody_is_refused(
         ("recording,px_per_cm\nsham_0,10\ndrug_0,\n", "give px_per_cm of all recordings"),
     ):
         table.write_text(text)
-        with pytest.raises(InputError, match=message):
-            animarl(*words)
+        refuses(message, animarl, *words)
     assert not out.exists()
 
 
@@ -269,11 +264,9 @@ def test_merged_metadata_of_two_files(files: list[Path], tmp_path: Path) -> None
         ((sham,), "nothing to merge it with"),
         ((sham, sham), "the same episodes"),
     ):
-        with pytest.raises(InputError, match=message):
-            merged(more)
+        refuses(message, merged, more)
     for conditions, message in (("0", "one for each"), ("0,", "one for each")):
-        with pytest.raises(InputError, match=message):
-            merged([sham, drug], conditions)
+        refuses(message, merged, [sham, drug], conditions)
 
 
 def test_merged_metadata_tells_recordings_of_one_name_apart(tmp_path: Path) -> None:
@@ -289,8 +282,7 @@ def test_merged_metadata_tells_recordings_of_one_name_apart(tmp_path: Path) -> N
     units = {name: scale["unit"] for name, scale in found.provenance["scales"].items()}
     assert units == {"day0/trial": 450.0, "day1/trial": 450.5}
     other = replace(sets[1], provenance={**sets[1].provenance, "unit": "cm"})
-    with pytest.raises(InputError, match="is in cm"):
-        join([sets[0], other])
+    refuses("is in cm", join, [sets[0], other])
 
 
 def test_splits_without_a_condition_are_named(files: list[Path], tmp_path: Path) -> None:
@@ -308,5 +300,4 @@ def test_conditions_of_finished_demonstrations_are_set_as_well(tmp_path: Path) -
     assert not out.exists()
     animarl("import", native, "--condition", 1, "--out", out)
     assert (Demonstrations.load(out).condition == 1).all()
-    with pytest.raises(InputError, match="must be 0 or 1"):
-        animarl("import", native, "--condition", 2, "--out", out)
+    refuses("must be 0 or 1", animarl, "import", native, "--condition", 2, "--out", out)

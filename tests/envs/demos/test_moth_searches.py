@@ -1,12 +1,11 @@
 """The packaged Silkmoth demonstrations: what they hold, and that their plume is really theirs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refuses
 from typer.testing import CliRunner
 
 import animarl_envs  # noqa: F401  (registers the ids)
@@ -142,8 +141,7 @@ def test_searches_end_where_they_end() -> None:
     for track, reached in zip(found.tracks(), found.reached, strict=True):
         assert (np.linalg.norm(track[-1]) < SILKMOTH.contact_radius) == reached
     assert of_searches(found).rate == found.reached.mean()
-    with pytest.raises(InputError, match="episodes is 0"):
-        search(SILKMOTH, 0, episodes=0, seed=0)
+    refuses("episodes is 0", search, SILKMOTH, 0, episodes=0, seed=0)
 
 
 def test_show_says_that_they_are_synthetic() -> None:
@@ -159,8 +157,7 @@ def test_table_of_rates_has_a_row_per_case() -> None:
 
 
 def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no raw/\*\.csv"):
-        recorded_moths(tmp_path)
+    refuses(r"no raw/\*\.csv", recorded_moths, tmp_path)
 
 
 def test_a_plume_without_its_demonstrations_is_refused_with_the_mend() -> None:

@@ -1,7 +1,5 @@
 """The grid of recorded positions is found, and rollouts and tracking are put on it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -12,12 +10,7 @@ from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.windows import Windows, window_features
-from animarl_envs.demos.episode import (
-    SINGLE_PRECISION,
-    Resolution,
-    find_resolution,
-    rounded,
-)
+from animarl_envs.demos.episode import SINGLE_PRECISION, Resolution, find_resolution, rounded
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import make_scenario

@@ -1,22 +1,20 @@
 """Searches that start from recorded ones: their plume, their warm-up, their senses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 from search_worlds import WIND, recorded, search_world
 
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH
 from animarl_envs.species.silkmoth import RECORDED_TURNING
-from animarl_envs.worlds.search.layout import Seen
+from animarl_envs.worlds.search.layout import ALIKE, Seen
 from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
 
 
@@ -35,8 +33,7 @@ def test_known_plume_of_a_demonstration_is_used() -> None:
     world = search_world(60, demos=demos)
     assert np.array_equal(np.array(world.patterns)[world.pattern], patterns[world.demo])
     assert np.array_equal(world.phase, steps[world.demo])
-    with pytest.raises(InputError, match="pattern 9"):
-        search_world(demos=recorded(plume=np.full(240, 9)))
+    refuses("pattern 9", search_world, demos=recorded(plume=np.full(240, 9)))
 
 
 def wandering() -> np.ndarray:
@@ -69,7 +66,7 @@ def test_warm_up_replays_positions_and_recorded_odour(turning: Any, signals: Any
 def test_offline_observations_follow_the_recorded_condition() -> None:
     demos = recorded()
     seen = demonstration_observations(SILKMOTH, demos)
-    assert seen.shape == (240, 1, len(Seen)) and seen.dtype == np.float32
+    assert seen.shape == (240, 1, ALIKE) and seen.dtype == np.float32
     reduced = np.repeat(demos.condition == 1, 40)
     assert not seen[reduced][..., Seen.FLOW : Seen.WIND_BACK + 1].any()
     assert (seen[~reduced][..., WIND].sum(axis=-1) == 1.0).all()
@@ -118,8 +115,7 @@ def test_initial_heading_at_rest_comes_from_the_recording() -> None:
 
 def test_demonstrations_without_odour_are_refused_offline() -> None:
     demos = replace(recorded(), signals={})
-    with pytest.raises(InputError, match="odour_left"):
-        demonstration_observations(SILKMOTH, demos)
+    refuses("odour_left", demonstration_observations, SILKMOTH, demos)
 
 
 def test_recorded_actions_repeat_packaged_searches_in_their_plumes() -> None:

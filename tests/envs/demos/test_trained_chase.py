@@ -1,7 +1,5 @@
 """The packaged chases of the agents: that they were learnt, that they repeat, what they hold."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refuses
 from typer.testing import CliRunner
 
 from animarl_algos.evaluation.teams import load_weights, make_policy
@@ -150,10 +149,8 @@ def test_bad_input_is_one_sentence(
 
 def test_a_file_that_holds_no_weights_is_refused(tmp_path: Path) -> None:
     np.savez(weights_file(tmp_path, 0), something=np.zeros(3))
-    with pytest.raises(InputError, match=r"individual\.npz: it holds no weights"):
-        generate(tmp_path, 0, 2)
-    with pytest.raises(InputError, match="do not fit"):
-        make_policy({"something": np.zeros(3, np.float32)}, epsilon=0.0, seed=0)
+    refuses(r"individual\.npz: it holds no weights", generate, tmp_path, 0, 2)
+    refuses("do not fit", make_policy, {"something": np.zeros(3, np.float32)}, epsilon=0.0, seed=0)
 
 
 # -- what is packaged -----------------------------------------------------------------------------

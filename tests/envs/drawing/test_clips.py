@@ -1,7 +1,5 @@
 """Clips, environments that draw on, and the scenes recorded of a world."""
 
-from __future__ import annotations
-
 import pickle
 from copy import deepcopy
 from pathlib import Path
@@ -10,11 +8,11 @@ import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs import parallel_env
 from animarl_envs.drawing.render import write_clip
 from animarl_envs.drawing.scene import SceneRecorder
-from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds.chase.world import ChaseWorld
 
@@ -41,8 +39,7 @@ def test_clip_holds_all_frames_at_the_wanted_speed(tmp_path, suffix):
 
 
 def test_other_suffixes_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
-        write_clip(frames(), tmp_path / "clip.avi")
+    refuses(r"\.gif or \.mp4", write_clip, frames(), tmp_path / "clip.avi")
     assert not list(tmp_path.iterdir())
 
 
@@ -60,8 +57,7 @@ def test_an_interrupted_clip_leaves_the_old_file(tmp_path: Path):
 
 
 def test_a_clip_of_nothing_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no frame"):
-        write_clip(iter(()), tmp_path / "clip.gif")
+    refuses("no frame", write_clip, iter(()), tmp_path / "clip.gif")
     assert not list(tmp_path.iterdir())
 
 
@@ -85,8 +81,7 @@ def test_a_copy_in_mid_episode_draws_on_alike(species, twin_of):
 
 def test_all_individuals_are_drawn_and_nothing_before_the_first_episode():
     everybody = parallel_env("fly", render_mode="rgb_array")
-    with pytest.raises(InputError, match="reset"):
-        everybody.render()
+    refuses("reset", everybody.render)
     everybody.reset(seed=0)
     assert everybody.render().shape == (672, 600, 3)
     everybody.close()

@@ -1,7 +1,5 @@
 """Pictures: right places, right colours, same pixels; windows."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 from typing import Any

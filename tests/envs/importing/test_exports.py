@@ -4,8 +4,6 @@ Every case writes a file in the way of its program, and says how pandas reads it
 that the reader has to find out by itself.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +15,7 @@ import pandas as pd
 import pytest
 import yaml
 from numpy.typing import NDArray
+from refusals import refuses
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
@@ -333,9 +332,7 @@ UNCLEAR = {
 def test_exports_that_are_not_clear_are_refused_with_the_command(kind: str, tmp_path: Path) -> None:
     text, part = UNCLEAR[kind]
     (tmp_path / "un clear.csv").write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_tracks(tmp_path / "un clear.csv")
-    said = str(caught.value)
+    said = refuses("", read_tracks, tmp_path / "un clear.csv")
     assert part in said and f"animarl import '{tmp_path}/un clear.csv'" in said
     for column in text.split("\n")[0].split(","):
         assert column in said
@@ -376,23 +373,19 @@ def test_exports_with_a_wrong_cell_are_refused_by_line_and_column(tmp_path: Path
     rows = [f"{t};a;{t},5;1,5" for t in range(20)]
     rows[11] = "11;a;eleven;1,5"
     path.write_text("# a tracker\n\nframe;id;x;y\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match="line 15, column 'x' holds 'eleven'"):
-        read_tracks(path)
+    refuses("line 15, column 'x' holds 'eleven'", read_tracks, path)
     rows[11] = "11;a;11.5;1,5"  # a point among commas might be a thousand
     path.write_text("# a tracker\n\nframe;id;x;y\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match=r"line 15, column 'x' holds '11\.5'"):
-        read_tracks(path)
+    refuses(r"line 15, column 'x' holds '11\.5'", read_tracks, path)
     rows[11] = "11;a;1,5"
     path.write_text("# a tracker\n\nframe;id;x;y\n" + "\n".join(rows) + "\n")
-    with pytest.raises(InputError, match="line 15 has 3 cells, the header 4"):
-        read_tracks(path)
+    refuses("line 15 has 3 cells, the header 4", read_tracks, path)
 
 
 def test_exports_whose_times_are_hardly_seconds_are_refused(tmp_path: Path) -> None:
     table = TIMED.assign(time=TIMED.time * 1000)
     table.to_csv(tmp_path / "ms.csv", index=False)
-    with pytest.raises(InputError, match="--option time_unit=ms"):
-        read_tracks(tmp_path / "ms.csv")
+    refuses("--option time_unit=ms", read_tracks, tmp_path / "ms.csv")
     (tracks,) = read_tracks(tmp_path / "ms.csv", time_unit="ms")
     assert tracks.frame_rate == RATE
 
@@ -432,17 +425,14 @@ def test_exports_in_workbooks_that_ask_for_too_much_are_refused(tmp_path: Path) 
     book = openpyxl.Workbook()
     book.active["A1"], book.active["XFD1048576"] = "frame", 1
     book.save(tmp_path / "far.xlsx")
-    with pytest.raises(InputError, match=r"may ask for|more rows or columns"):
-        find_reader(tmp_path / "far.xlsx")
+    refuses(r"may ask for|more rows or columns", find_reader, tmp_path / "far.xlsx")
     book = openpyxl.Workbook()
     book.active["A1"] = "frame"
     book.create_sheet("other")["A1"] = "frame"
     book.save(tmp_path / "two.xlsx")
-    with pytest.raises(InputError, match="2 sheets with cells"):
-        find_reader(tmp_path / "two.xlsx")
+    refuses("2 sheets with cells", find_reader, tmp_path / "two.xlsx")
     (tmp_path / "old.xls").write_bytes(bytes.fromhex("d0cf11e0a1b11ae1") + bytes(512))
-    with pytest.raises(InputError, match="old Excel format"):
-        find_reader(tmp_path / "old.xls")
+    refuses("old Excel format", find_reader, tmp_path / "old.xls")
 
 
 def test_exports_of_an_encoding_that_is_named_are_read_in_it(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """HDF5 files of strangers point nowhere, and hold nothing that the library stumbles over."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,12 +7,7 @@ from typing import Any
 import pytest
 from refusals import refused
 
-from tools.fuzz.layouts import (
-    write_analysis,
-    write_dlc_h5,
-    write_idtracker_h5,
-    write_mat73,
-)
+from tools.fuzz.layouts import write_analysis, write_dlc_h5, write_idtracker_h5, write_mat73
 
 
 def external_link(file: Any, elsewhere: Path) -> None:

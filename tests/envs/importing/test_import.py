@@ -1,7 +1,5 @@
 """``animarl import``, ``animarl data`` and ``animarl fit``: from file to file, all or nothing."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path
@@ -9,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import animarl
+from refusals import refuses
 
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
@@ -140,8 +139,7 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
         (("--fps", 20, "--option", "unit={a: 1}", "--out", out), "give a name, such as mm"),
     ):
-        with pytest.raises(InputError, match=message):
-            animarl("import", table, *words)
+        refuses(message, animarl, "import", table, *words)
     assert not out.exists() and not list(tmp_path.glob(".demos*"))
 
 
@@ -198,8 +196,7 @@ def test_fit_command_saves_what_it_prints(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert [row["individual"] for row in rows] == ["male", "female"]
     assert float(rows[0]["d"]) == fit.individuals[0].damping
-    with pytest.raises(InputError, match=r"use \.csv or \.json"):
-        animarl("fit", path, "--out", tmp_path / "fit.txt")
+    refuses(r"use \.csv or \.json", animarl, "fit", path, "--out", tmp_path / "fit.txt")
 
 
 def test_recipes_are_plain_json(tmp_path: Path) -> None:
@@ -303,8 +300,7 @@ def test_data_split_by_group_keeps_groups_together(tmp_path: Path) -> None:
         (("--by", "group", "--pattern", "("), "no regular expression"),
         (("--by", "group", "--pattern", "(night)"), "does not fit every recording"),
     ):
-        with pytest.raises(InputError, match=message):
-            animarl("data", "split", out, *more, "--out", tmp_path / "never.npz")
+        refuses(message, animarl, "data", "split", out, *more, "--out", tmp_path / "never.npz")
     assert not (tmp_path / "never.npz").exists()
 
 
@@ -324,10 +320,8 @@ def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
     assert again.fingerprint() == Demonstrations.load(native).fingerprint()
     with pytest.raises(InputError, match="suffix says the format"):
         animarl("data", "convert", native, "--out", tmp_path / "demos.txt")
-    with pytest.raises(InputError, match=r"ends in \.png"):
-        animarl("data", "plot", native, "--out", tmp_path / "figure.txt")
+    refuses(r"ends in \.png", animarl, "data", "plot", native, "--out", tmp_path / "figure.txt")
 
 
 def test_no_recording_at_all_is_said() -> None:
-    with pytest.raises(InputError, match="tracks: there is no recording in it"):
-        demonstrations_from_tracks([], ImportRecipe())
+    refuses("tracks: there is no recording in it", demonstrations_from_tracks, [], ImportRecipe())

@@ -1,7 +1,5 @@
 """Headings of imports: from keypoints or a table's column, turned, filled and thinned with care."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Imports of large tables: memory, progress, and Ctrl-C, which leaves nothing half done."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

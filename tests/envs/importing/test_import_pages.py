@@ -1,7 +1,5 @@
 """Every line that can be copied from the pages on data runs, and the fitting table is current."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The recordings at hand, imported: counts, outcomes and fits; the examples of the pages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,17 +1,15 @@
 """Minari export and import round-trip exactly."""
 
-from __future__ import annotations
-
 import json
 import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
-from animarl_envs.errors import InputError
 from animarl_envs.importing.minari_io import export_minari, import_minari
 from animarl_envs.importing.readers import read
 
@@ -81,16 +79,13 @@ def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.Mon
 def test_minari_refuses_what_it_cannot_do(tmp_path: Path) -> None:
     demos = demonstrations(actions=True)
     folder = export_minari(demos, tmp_path / "set-v0")
-    with pytest.raises(InputError, match="exists already"):
-        export_minari(demos, folder)
-    with pytest.raises(InputError, match=r"holds no data/main_data\.hdf5"):
-        import_minari(tmp_path / "absent")
+    refuses("exists already", export_minari, demos, folder)
+    refuses(r"holds no data/main_data\.hdf5", import_minari, tmp_path / "absent")
     metadata = folder / "data" / "metadata.json"
     record = json.loads(metadata.read_text())
     del record["animarl"]
     metadata.write_text(json.dumps(record))
-    with pytest.raises(InputError, match="another project"):
-        import_minari(folder)
+    refuses("another project", import_minari, folder)
 
 
 def test_minari_round_trip_opens_no_connection(

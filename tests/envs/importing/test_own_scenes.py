@@ -1,7 +1,5 @@
 """Own scenes far from the origin, in pixels: inputs of networks, and the map of values."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

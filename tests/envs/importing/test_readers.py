@@ -1,7 +1,5 @@
 """Readers: known answers on files written in each layout."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

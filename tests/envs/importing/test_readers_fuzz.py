@@ -3,8 +3,6 @@
 The damage and the judge are those of ``make fuzz`` (``tools/fuzz``).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Readers refuse what is damaged, absurd, hostile or incomplete, in one sentence."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle
@@ -13,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from refusals import refused
+from refusals import refused, refuses
 
+from animarl_envs import wall
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.files import load_npy
@@ -56,9 +55,7 @@ BAD_AGENTS: dict[str, tuple[Callable[[dict[str, NDArray[Any]]], dict[str, Any]],
 def test_agents_reader_refuses(kind: str, tmp_path: Path) -> None:
     changes, message = BAD_AGENTS[kind]
     path = _spoilt(tmp_path, **changes(agents_arrays()))
-    with pytest.raises(InputError, match=message) as caught:
-        read(path, "agents")
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+    assert str(path) in refuses(message, read, path, "agents")
 
 
 def test_readers_refuse_text_truncation_folders_and_absence(tmp_path: Path) -> None:
@@ -67,14 +64,11 @@ def test_readers_refuse_text_truncation_folders_and_absence(tmp_path: Path) -> N
     (tmp_path / "cut.npz").write_bytes(whole.read_bytes()[:-200])
     for name in ("text.npz", "cut.npz"):
         for source in (None, "animarl", "agents", "numpy", "trex"):
-            with pytest.raises(InputError, match=name):
-                read(tmp_path / name, source)
-    with pytest.raises(InputError, match="no such file"):
-        read(tmp_path / "absent.npz")
+            refuses(name, read, tmp_path / name, source)
+    refuses("no such file", read, tmp_path / "absent.npz")
     with pytest.raises(InputError):
         read(tmp_path, "animarl")
-    with pytest.raises(InputError, match="source 'nonsense' is unknown"):
-        read(whole, "nonsense")
+    refuses("source 'nonsense' is unknown", read, whole, "nonsense")
     with pytest.raises(InputError, match="holds no episode"):
         read(whole).select(split="train", condition=1)
 
@@ -109,19 +103,15 @@ def test_readers_refuse_headers_that_ask_for_too_much(tmp_path: Path) -> None:
         buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3, 2)}
     )
     (tmp_path / "huge.npy").write_bytes(buffer.getvalue() + bytes(64))
-    with pytest.raises(InputError, match="announces"):
-        read_tracks(tmp_path / "huge.npy", "numpy")
+    refuses("announces", read_tracks, tmp_path / "huge.npy", "numpy")
     with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive:
         archive.writestr("a.npy", buffer.getvalue() + bytes(64))
-    with pytest.raises(InputError, match="announces"):
-        read_tracks(tmp_path / "huge.npz", "numpy")
+    refuses("announces", read_tracks, tmp_path / "huge.npz", "numpy")
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a.npy", bytes(200 * 2**20))
-    with pytest.raises(InputError, match="more than 64 times"):
-        read_tracks(tmp_path / "bomb.npz", "numpy")
+    refuses("more than 64 times", read_tracks, tmp_path / "bomb.npz", "numpy")
     (tmp_path / "far.csv").write_text("frame,id,x,y\n0,a,0,0\n2000000000,a,1,1\n")
-    with pytest.raises(InputError, match="more than 64 times"):
-        read_tracks(tmp_path / "far.csv", "long-table")
+    refuses("more than 64 times", read_tracks, tmp_path / "far.csv", "long-table")
 
 
 @pytest.mark.parametrize("protocol", [3, 4])
@@ -141,14 +131,15 @@ class _Allocates:
 
 
 def test_unpickling_calls_no_constructor_that_allocates() -> None:
-    with pytest.raises(InputError, match="pickle"):
-        load_plain(pickle.dumps(_Allocates()), "file")
+    refuses("pickle", load_plain, pickle.dumps(_Allocates()), "file")
     many = b"\x80\x05\x96" + (2**40).to_bytes(8, "little") + b"."
-    with pytest.raises(InputError, match="pickle"):
-        load_plain(many, "file")
+    refuses("pickle", load_plain, many, "file")
 
 
-def test_a_pickle_that_repeats_itself_is_refused(tmp_path: Path) -> None:
+def test_a_pickle_that_repeats_itself_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(wall, "MEMORY", 2**26)  # or filling a gigabyte takes a while
     laugh: list[Any] = [0.0]
     for _ in range(30):
         laugh = [laugh] * 10
@@ -159,8 +150,7 @@ def test_a_pickle_that_repeats_itself_is_refused(tmp_path: Path) -> None:
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("pos.npy", buffer.getvalue() + pickle.dumps(laugh))
-    with pytest.raises(InputError, match=r"MemoryError|more memory|processor time"):
-        read(path)
+    refuses(r"MemoryError|more memory|processor time", read, path)
     assert load_npy(buffer.getvalue() + pickle.dumps([1]), path, unpickle=load_plain) == [1]
 
 
@@ -175,13 +165,11 @@ BAD_TABLES = {  # further ones are in the golden table of files
 def test_long_table_reader_refuses(kind: str, tmp_path: Path) -> None:
     text, message = BAD_TABLES[kind]
     (tmp_path / "bad.csv").write_text(text)
-    with pytest.raises(InputError, match=message):
-        read_tracks(tmp_path / "bad.csv", "long-table")
+    refuses(message, read_tracks, tmp_path / "bad.csv", "long-table")
 
 
 def test_a_frame_rate_is_asked_for_where_the_file_has_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="give it with --fps"):
-        read(write_npy(tmp_path))
+    refuses("give it with --fps", read, write_npy(tmp_path))
 
 
 def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) -> None:
@@ -195,8 +183,7 @@ def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) ->
     np.testing.assert_array_equal(tracks.bodies[:, 1, 0], np.arange(30_000) + 0.5)
     spoilt = text.replace("25000.5,1.25", "25000.5;1.25")
     (tmp_path / "t.csv").write_bytes(spoilt.encode())
-    with pytest.raises(InputError, match="line 50003 has 3 cells, the header 4"):
-        read_tracks(tmp_path / "t.csv")
+    refuses("line 50003 has 3 cells, the header 4", read_tracks, tmp_path / "t.csv")
 
 
 def test_parquet_reader_refuses(tmp_path: Path) -> None:
@@ -205,14 +192,11 @@ def test_parquet_reader_refuses(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
     rows = {"frame": [0, -1], "id": ["a", "a"], "x": [0.0, 1.0], "y": [0.0, 1.0]}
     pd.DataFrame(rows).to_parquet(path)
-    with pytest.raises(InputError, match="give whole numbers from 0"):
-        read_tracks(path, "long-table")
+    refuses("give whole numbers from 0", read_tracks, path, "long-table")
     path.write_bytes(b"PAR1" + bytes(40) + b"PAR1")
-    with pytest.raises(InputError, match=r"t\.parquet"):
-        read_tracks(path, "long-table")
+    refuses(r"t\.parquet", read_tracks, path, "long-table")
     pd.DataFrame({"frame": [0], "x": [0.0], "y": [1.0]}).to_parquet(path)
-    with pytest.raises(InputError, match="0 columns 'id'"):
-        read_tracks(path, "long-table")
+    refuses("0 columns 'id'", read_tracks, path, "long-table")
 
 
 def test_parquet_reader_refuses_rows_beyond_what_the_file_may_ask_for(tmp_path: Path) -> None:
@@ -227,5 +211,4 @@ def test_parquet_reader_refuses_rows_beyond_what_the_file_may_ask_for(tmp_path: 
     with pq.ParquetWriter(path, table.schema) as writer:
         for _ in range(40):
             writer.write_table(table)
-    with pytest.raises(InputError, match="more memory than a file of its size"):
-        read_tracks(path, "long-table")
+    refuses("more memory than a file of its size", read_tracks, path, "long-table")

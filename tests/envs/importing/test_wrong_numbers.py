@@ -1,12 +1,11 @@
 """No wrong number: what would be read as other numbers, or at other times, is refused and said."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs.errors import InputError
 from animarl_envs.importing.cutting import Cutting
@@ -43,8 +42,7 @@ def test_wrong_number_of_a_deeplabcut_frame_is_refused(
     path = write_dlc_csv(tmp_path)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:4], *change(lines[4:])]) + "\n")
-    with pytest.raises(InputError, match=message):
-        read_tracks(path, source, fps=25.0)
+    refuses(message, read_tracks, path, source, fps=25.0)
 
 
 def test_wrong_number_of_a_frame_in_deeplabcut_hdf5_is_refused(tmp_path: Path) -> None:
@@ -56,8 +54,7 @@ def test_wrong_number_of_a_frame_in_deeplabcut_hdf5_is_refused(tmp_path: Path) -
         rows = table[()]
         rows["index"][7] = 70
         table[...] = rows
-    with pytest.raises(InputError, match="of frame 70, not 7"):
-        read_tracks(path)
+    refuses("of frame 70, not 7", read_tracks, path)
 
 
 @pytest.mark.parametrize("lost", ["x", "y"])
@@ -71,8 +68,7 @@ def test_wrong_number_of_coordinates_of_a_body_part_is_refused(lost: str, tmp_pa
         )
         + "\n"
     )
-    with pytest.raises(InputError, match="not x, y and likelihood"):
-        read_tracks(path)
+    refuses("not x, y and likelihood", read_tracks, path)
 
 
 @pytest.mark.parametrize("lost", ["x_male", "y_male", "x_female", "y_female"])
@@ -89,8 +85,7 @@ def test_wrong_number_of_coordinates_in_a_wide_table_is_refused(
         "z" if i == other else style.format(*name.split("_")) for i, name in enumerate(names)
     )
     path.write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match="and no '"):
-        read_tracks(path, "wide-table")
+    refuses("and no '", read_tracks, path, "wide-table")
 
 
 @pytest.mark.parametrize("kind", ["gap", "repeat", "swap"])
@@ -105,8 +100,7 @@ def test_rows_of_a_wide_table_are_of_the_frames_that_they_name(kind: str, tmp_pa
     kept = SHIFTED[kind][0](rows)
     path.write_text("\n".join([f"frame,{head}", *kept]) + "\n")
     if kind == "repeat":
-        with pytest.raises(InputError, match="has two rows"):
-            read_tracks(path)
+        refuses("has two rows", read_tracks, path)
         return
     seen = np.isin(rows, kept)
     (tracks,) = read_tracks(path)
@@ -124,21 +118,18 @@ def test_wrong_number_at_the_end_of_a_cut_text_is_refused(name: str, tmp_path: P
     whole = path.read_bytes().rstrip(b"\r\n")
     for lost in range(4):
         path.write_bytes(whole[: len(whole) - lost])
-        with pytest.raises(InputError, match=r"its last line does not end|cells, the header"):
-            read_tracks(path, kind.source)
+        refuses(r"its last line does not end|cells, the header", read_tracks, path, kind.source)
 
 
 def test_wrong_number_at_the_end_of_tables_beside_is_refused(tmp_path: Path) -> None:
     path = write_termites(tmp_path)
     index = tmp_path / "index.csv"
     index.write_text(index.read_text().rstrip("\n")[:-1])
-    with pytest.raises(InputError, match="last line does not end"):
-        read_tracks(path)
+    refuses("last line does not end", read_tracks, path)
     events = tmp_path / "events.csv"
     events.write_text("recording,start,end\nwide,0,1.5")
     recipe = ImportRecipe(frame_rate=20.0, cutting=Cutting(mode="events", events=str(events)))
-    with pytest.raises(InputError, match="last line does not end"):
-        follow(recipe, [write_wide(tmp_path)])
+    refuses("last line does not end", follow, recipe, [write_wide(tmp_path)])
 
 
 def test_wrong_number_of_rows_without_a_header_is_refused(tmp_path: Path) -> None:
@@ -147,8 +138,7 @@ def test_wrong_number_of_rows_without_a_header_is_refused(tmp_path: Path) -> Non
     other = path.rename(tmp_path / "other.csv")
     first = other.read_text().splitlines()[0].split(",")
     pair = {"moth": [first[1], first[3]]}
-    with pytest.raises(InputError, match="first line holds numbers, not names"):
-        read_tracks(other, "wide-table", columns=pair)
+    refuses("first line holds numbers, not names", read_tracks, other, "wide-table", columns=pair)
     with pytest.raises(InputError, match="first line holds numbers, not names"):
         read_tracks(other, "movement", software="Anipose")
 
@@ -159,11 +149,9 @@ def test_wrong_number_of_a_frame_of_the_authors_moths_is_refused(kind: str, tmp_
     rows = path.read_text().splitlines()
     assert len(read(path).positions) == 4
     path.write_text("\n".join(SHIFTED[kind][0](rows)) + "\n")
-    with pytest.raises(InputError, match=r"line \d+ is at .* give every frame"):
-        read_tracks(path)
+    refuses(r"line \d+ is at .* give every frame", read_tracks, path)
     path.write_text("\n".join(rows[3:]) + "\n")
-    with pytest.raises(InputError, match=r"line 1 is at 0\.1 s"):
-        read_tracks(path)
+    refuses(r"line 1 is at 0\.1 s", read_tracks, path)
 
 
 def test_wrong_number_kinds_of_matlab_are_refused(tmp_path: Path) -> None:
@@ -173,8 +161,7 @@ def test_wrong_number_kinds_of_matlab_are_refused(tmp_path: Path) -> None:
     data = raw.index(b"bodies") + 8
     assert raw[data] == 9  # the tag of doubles
     path.write_bytes(raw[:data] + bytes([12]) + raw[data + 1 :])
-    with pytest.raises(InputError, match="the position exceeds"):
-        read_tracks(path)
+    refuses("the position exceeds", read_tracks, path)
     flags = raw.index(bytes([6, 0, 0, 0, 8, 0, 0, 0])) + 8
     assert raw[flags] == 6  # the class of doubles
     path.write_bytes(raw[:flags] + bytes([14]) + raw[flags + 1 :])
@@ -199,8 +186,7 @@ def test_wrong_number_of_a_sleap_instance_is_refused(
         rows = file[table][()]
         rows[field][30] = rows[field][0] if "two" in message else 10**6
         file[table][...] = rows
-    with pytest.raises(InputError, match=message):
-        read_tracks(path)
+    refuses(message, read_tracks, path)
 
 
 # -- times, signs and truth values of tables -------------------------------------------------------
@@ -235,16 +221,13 @@ def test_wrong_number_of_thousands_is_refused(separator: str, tmp_path: Path) ->
         path.write_text(path.read_text().replace(";", separator))
 
     write([f"{980 + 4 * t:,}" for t in range(12)])
-    with pytest.raises(InputError, match=r"1,000 may be 1000 or 1\.000: write"):
-        read_tracks(path, "long-table")
+    refuses(r"1,000 may be 1000 or 1\.000: write", read_tracks, path, "long-table")
     (tracks,) = read_tracks(path, "long-table", decimal=",")
     assert tracks.bodies[5, 0, 0] == 1.0
     write([f"{1000 + 4 * t:,}" for t in range(12)])
-    with pytest.raises(InputError, match="may be 1000 or"):
-        read_tracks(path, "long-table")
+    refuses("may be 1000 or", read_tracks, path, "long-table")
     write([f"{980 + 4 * t:,}".replace(",", ".") for t in range(12)])
-    with pytest.raises(InputError, match=r"1\.000 may be 1000 or"):
-        read_tracks(path, "long-table")
+    refuses(r"1\.000 may be 1000 or", read_tracks, path, "long-table")
     write([f"{t + 0.125:.3f}".replace(".", ",") for t in range(12)])  # 0,125 parts no thousands
     (tracks,) = read_tracks(path, "long-table")
     assert tracks.bodies[1, 0, 0] == 1.125
@@ -258,15 +241,13 @@ def test_wrong_number_of_times_that_go_back_is_refused(tmp_path: Path) -> None:
     saving = [f"2024-10-27 02:{59 - (t >= 30)}:{t % 30 + 10:02d}" for t in range(50)]
     for clocks in (midnight, saving):
         path = long_table(tmp_path / "t.csv", clocks, x)
-        with pytest.raises(InputError, match="is earlier than the one before"):
-            read_tracks(path)
+        refuses("is earlier than the one before", read_tracks, path)
 
 
 def test_wrong_number_of_truth_values_is_refused(tmp_path: Path) -> None:
     clocks = [str(t) for t in range(12)]
     path = long_table(tmp_path / "t.csv", clocks, ["True", "False"] * 6, "frame;id;x;y")
-    with pytest.raises(InputError, match="line 2, column 'x' holds 'True', which is no number"):
-        read_tracks(path)
+    refuses("line 2, column 'x' holds 'True', which is no number", read_tracks, path)
     (tracks,) = read_tracks(long_table(path, clocks, ["1", "0"] * 6, "frame;id;x;y"))
     assert tracks.bodies[:2, 0, 0].tolist() == [1.0, 0.0]
 

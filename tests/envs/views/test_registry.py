@@ -1,7 +1,5 @@
 """Every registered id, view, condition and wrapper passes the libraries' checks and agrees."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import itertools

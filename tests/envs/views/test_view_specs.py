@@ -1,7 +1,5 @@
 """What Gymnasium and PettingZoo are told: specs, registries, infos, pictures, keys."""
 
-from __future__ import annotations
-
 import inspect
 from typing import Any
 

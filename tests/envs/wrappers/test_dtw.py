@@ -1,7 +1,5 @@
 """The DTW reward through every view, against a textbook DTW."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """DTW rows, and the tracker that keeps them, against a textbook DTW and an independent library."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -10,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from refusals import refuses
 from textbook_dtw import closeness, textbook
 
 from animarl_envs.dtw import WINDOW, DTWTracker, dtw_alignment, dtw_distance
-from animarl_envs.errors import InputError
 
 
 @settings(max_examples=30, deadline=None)
@@ -41,8 +39,7 @@ def test_closed_end_equals_an_independent_library() -> None:
     ],
 )  # fmt: skip
 def test_misshapen_paths_are_refused(x: tuple[int, ...], y: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="shapes"):
-        dtw_distance(np.zeros(x), np.zeros(y))
+    refuses("shapes", dtw_distance, np.zeros(x), np.zeros(y))
 
 
 def test_one_who_follows_late_is_close_and_one_who_stands_is_not() -> None:
@@ -92,8 +89,7 @@ def test_equal_paths_align_frame_by_frame_and_one_frame_with_all() -> None:
     still = np.zeros((9, 2))
     assert dtw_alignment(still, still) == (0.0, 9)
     assert dtw_alignment(path[:1], path)[1] == 9
-    with pytest.raises(InputError, match="frames, 2"):
-        dtw_alignment(path, path[:, :1])
+    refuses("frames, 2", dtw_alignment, path, path[:, :1])
 
 
 # -- the tracker, told of episodes by a world that is made up --------------------------------------
@@ -233,14 +229,11 @@ def test_a_band_reaches_two_frames_either_way() -> None:
 
 def test_a_tracker_needs_demonstrations_and_episodes_that_start_from_them() -> None:
     world = Walk()
-    with pytest.raises(InputError, match="choose closeness, increment, cumulative"):
-        tracker(world, "near")
-    with pytest.raises(InputError, match="the environment has none"):
-        DTWTracker(None, COPIES, np.array(FOLLOWED), 0.8)
+    refuses("choose closeness, increment, cumulative", tracker, world, "near")
+    refuses("the environment has none", DTWTracker, None, COPIES, np.array(FOLLOWED), 0.8)
     follows = tracker(world)
     world.start(np.arange(COPIES) < 3)
     follows.started(world, np.arange(COPIES) < 3)  # the others are not asked for
     for copies in (np.ones(COPIES, dtype=bool), np.arange(COPIES) == 4):
-        with pytest.raises(InputError, match="start='demo'"):
-            follows.started(world, copies)
+        refuses("start='demo'", follows.started, world, copies)
     assert DTWTracker(world.demos, 1, np.array([0]), 1.0).kind == "closeness"  # type: ignore[arg-type]

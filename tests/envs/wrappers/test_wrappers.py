@@ -4,13 +4,12 @@ test_registry.py compares the views of every wrapped environment, test_dtw.py th
 definition.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refuses
 
 import animarl_envs
 from animarl_envs.errors import InputError
@@ -23,10 +22,7 @@ from animarl_envs.wrappers import (
     DTWRewardVector,
 )
 
-pytestmark = [
-    pytest.mark.filterwarnings("error"),
-    pytest.mark.usefixtures("_garbage_collected"),
-]
+pytestmark = [pytest.mark.filterwarnings("error"), pytest.mark.usefixtures("_garbage_collected")]
 
 
 def agent(**options: Any) -> Any:
@@ -113,14 +109,12 @@ def test_a_wrapper_that_does_not_fit_is_refused(
 
 @pytest.mark.parametrize("wrapper", [DTWReward, ConditionFlag])
 def test_other_peoples_environments_are_refused(wrapper: Any) -> None:
-    with pytest.raises(InputError, match="AnimaRL"):
-        wrapper(gym.make("CartPole-v1"))
+    refuses("AnimaRL", wrapper, gym.make("CartPole-v1"))
 
 
 @pytest.mark.parametrize("wrapper", [DTWRewardVector, ConditionFlagVector])
 def test_other_peoples_vectors_are_refused(wrapper: Any) -> None:
-    with pytest.raises(InputError, match="AnimaRL"):
-        wrapper(gym.make_vec("CartPole-v1", num_envs=2))
+    refuses("AnimaRL", wrapper, gym.make_vec("CartPole-v1", num_envs=2))
 
 
 @pytest.mark.parametrize(("condition", "paid"), [(0, 0.0), (1, 1.0)])
