@@ -44,6 +44,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
+from animarl_algos.evaluation.classifier import SEQUENCE
+from animarl_algos.evaluation.order_in_time import ORDER
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
 from animarl_algos.report.terminal import verdict_table
 from animarl_algos.report.words import Words
@@ -135,7 +137,7 @@ TIME = Bar("seconds", "seconds", 240.0)  # of 500 episodes
 AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), TIME)
 MOTHS = (
     Bar("reached", "difference", 0.10), *DISTRIBUTIONS, Bar("median_speed", "relative", 0.10),
-    Bar("auc", "auc", 0.70),
+    Bar("auc", "auc", 0.70), Bar("turning", "alike"), Bar(ORDER, "alike"), Bar(SEQUENCE, "alike"),
 )  # fmt: skip
 WALLED = (
     Bar("leaving", "difference", 0.0), Bar("mean_speed", "relative", 0.15),
