@@ -91,7 +91,7 @@ def kind(species: Species) -> str:
 
 FOCUS = {
     "free": "The focus of an animal is the direction in which it moves: its velocity, averaged "
-    "over about six steps.",
+    "over the last second.",
     "chase": "The focus of a pursuer is the nearest target. The focus of a target is the nearest "
     "pursuer.",
     "search": "The focus is upwind (-x), because the moth does not know where the source is.",

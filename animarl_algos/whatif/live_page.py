@@ -27,6 +27,7 @@ from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.focus import COURSE, is_free
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies, SearchSpecies
 from animarl_envs.worlds import observation_components
@@ -102,6 +103,7 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
             "rebound": species.arena.rebound,
         },
         "lone": isinstance(species, ChaseSpecies) and species.lone_pursuer,
+        "free": is_free(species.roles),
         "conditions": list(species.conditions),
         "condition_is_sensed": species.condition_is_sensed,
         "told": run.told_condition,
@@ -142,15 +144,15 @@ def _refuse(scenario: Scenario) -> None:
             "the senses of this run are noisy or late, which a page does not simulate: use "
             "'animarl whatif'"
         )
-    if isinstance(species, ChaseSpecies) and species.free:
-        raise InputError(
-            "nobody is pursued in this run, and a page simulates only chases and searches: use "
-            "'animarl whatif'"
-        )
     if isinstance(species, ChaseSpecies) and species.has_headings:
         raise InputError(
             "the individuals of this run have headings of their own, which a page does not "
             "simulate: train without senses_heading, or use 'animarl whatif'"
+        )
+    if isinstance(species, SearchSpecies) and species.traits is not None:
+        raise InputError(
+            "the individuals of this run differ by traits, which a page does not simulate: use "
+            "'animarl whatif'"
         )
     if isinstance(species, SearchSpecies) and not isinstance(as_plume(species.plume), ModelPlume):
         raise InputError(
@@ -177,8 +179,9 @@ def _network(run: TrainedRun) -> dict[str, Any]:
     net = run.policy.policy.q_net
 
     def layer(weight: Any, bias: Any) -> dict[str, Any]:
+        each = weight.detach().cpu().numpy().astype(np.float32)
         return {
-            "weight": _packed(weight.detach().cpu().numpy().astype(np.float32)),
+            "weight": _packed(each[:1] if (each == each[:1]).all() else each),  # shared: once
             "bias": _packed(bias.detach().cpu().numpy().astype(np.float32)),
         }
 
@@ -276,7 +279,9 @@ def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
         "near": senses.near,
         "scales": list(senses.scales),
         "limit": senses.limit,
-        "past": list(chase_layout.PAST[: chase_layout.past_scales(species)]),
+        "past": list(chase_layout.PAST[: (not species.free) * chase_layout.past_scales(species)]),
+        "memory": senses.shares.tolist() if species.free else [],
+        "on_course": chase_layout.MEMORY.index(COURSE),
     }
 
 

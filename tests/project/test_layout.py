@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 991,
     "animarl_algos.report": 3_388,
     "animarl_algos.runs": 2_614,
-    "animarl_algos.whatif": 1_656,
+    "animarl_algos.whatif": 1_661,
     "animarl_algos.zoo": 492,
     "animarl_envs": 2_240,
     "animarl_envs.demos": 1_280,

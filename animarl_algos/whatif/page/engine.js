@@ -201,11 +201,11 @@ const AnimaRL = (() => {
     #place(k) {
       const placed = {}, f = this.products.floats;
       for (const [name, { weight, bias }] of Object.entries(this.net.layers)) {
-        const [, inputs, outputs] = weight.shape, padded = eight(outputs);
+        const [nets, inputs, outputs] = weight.shape, padded = eight(outputs), own = k % nets;
         const at = this.products.take(inputs * padded), zero = this.products.take(padded);
         for (let i = 0; i < inputs; i++) {
           for (let j = 0; j < outputs; j++) {
-            f[at + i * padded + j] = weight[(k * inputs + i) * outputs + j];
+            f[at + i * padded + j] = weight[(own * inputs + i) * outputs + j];
           }
         }
         for (let j = 0; j < outputs; j++) f[zero + j] = bias[k * outputs + j];
@@ -434,13 +434,14 @@ const AnimaRL = (() => {
 
   const egocentric = (x, y, ex, ey) => [Math.fround(x * ex + y * ey), Math.fround(y * ex - x * ey)];
   const squash = (x) => Math.tanh(x), tripled = (t) => (t * (3 + t * t)) / (1 + 3 * t * t);
+  const averaged = (mean, value, share, steps) => mean + Math.max(share, 1 / (1 + steps)) * (value - mean);
   const held = (value) => Math.min(HARDEST, Math.max(-HARDEST, value));
 
-  /** Pursuers and a target (or a pursuer of several) in an arena. */
+  /** Pursuers and a target, a pursuer of several, or animals of which nobody is pursued. */
   class Chase extends World {
     constructor(model, options, copies) {
       super(model, options, copies);
-      const K = this.K, scales = model.senses.past.length;
+      const K = this.K, scales = (this.scales = model.senses.past.length + 2 * model.senses.memory.length);
       this.boundary = options.boundary;
       this.edge = model.arena.rebound ? this.size : this.boundary;
       this.past = new Float64Array(copies * scales * K * 2);
@@ -449,13 +450,44 @@ const AnimaRL = (() => {
     }
 
     woken(b) {
-      const K = this.K, scales = this.model.senses.past.length;
+      const K = this.K, scales = this.scales, at = 2 * b * K, v = this.velocity;
       for (let s = 0; s < scales; s++) {
-        for (let k = 0; k < 2 * K; k++) {
-          this.past[(b * scales + s) * 2 * K + k] = this.velocity[2 * b * K + k];
+        const base = (b * scales + s) * 2 * K, turning = this.model.free && s >= scales / 2;
+        for (let k = 0; k < 2 * K; k += 2) {
+          this.past[base + k] = turning ? 0 : v[at + k];
+          this.past[base + k + 1] = turning ? Math.hypot(v[at + k], v[at + k + 1]) : v[at + k + 1];
         }
       }
       for (let i = 0; i < K; i++) this.towards[2 * (b * K + i)] = 1;
+    }
+
+    /** Update the averages of the past with the present, before a step is taken. */
+    #remember(b) {
+      const { K, scales, velocity, past } = this, { past: over, memory, on_course } = this.model.senses;
+      over.forEach((steps, s) => {
+        const base = (b * scales + s) * 2 * K;
+        for (let k = 0; k < 2 * K; k++) past[base + k] += (1 / steps) * (velocity[2 * b * K + k] - past[base + k]);
+      });
+      for (let i = 0; i < (memory.length ? K : 0); i++) {
+        const [vx, vy] = velocity.subarray(2 * (b * K + i)), count = this.steps[b] - 1;
+        const place = (s) => ((b * scales + s) * K + i) * 2;
+        const [mx, my] = past.subarray(place(on_course)), share = memory[on_course];
+        const nx = averaged(mx, vx, share, count), ny = averaged(my, vy, share, count);
+        const turned = Math.atan2(Math.fround(mx * ny - my * nx), Math.fround(mx * nx + my * ny)) / this.dt;
+        [vx, vy, turned, Math.sqrt(vx * vx + vy * vy)].forEach((value, x) => memory.forEach((part, s) => {
+          const to = place(s + (x > 1 ? memory.length : 0)) + (x & 1);
+          past[to] = averaged(past[to], value, part, count);
+        }));
+      }
+    }
+
+    /** The course of a free animal: its mean velocity, the present one included. */
+    #course(b, i) {
+      const { memory, on_course } = this.model.senses, own = 2 * (b * this.K + i);
+      const at = ((b * this.scales + on_course) * this.K + i) * 2;
+      const [x, y] = [0, 1].map((k) => averaged(this.past[at + k], this.velocity[own + k], memory[on_course], this.steps[b]));
+      const length = Math.sqrt(x * x + y * y);
+      return length > 0 ? [x / length, y / length] : [1, 0];
     }
 
     /** One step of copy b; actions [K]. */
@@ -463,12 +495,7 @@ const AnimaRL = (() => {
       const K = this.K, model = this.model, senses = model.senses, at = 2 * b * K, dt = this.dt;
       const { position, velocity, towards } = this;
       this.steps[b] += 1;
-      senses.past.forEach((over, s) => {
-        const base = (b * senses.past.length + s) * 2 * K;
-        for (let k = 0; k < 2 * K; k++) {
-          this.past[base + k] += (1 / over) * (velocity[at + k] - this.past[base + k]);
-        }
-      });
+      this.#remember(b);
       for (let i = 0; i < K; i++) {
         const own = at + 2 * i, [ahead, left] = model.pushes[i][actions[i]];
         const ex = towards[own], ey = towards[own + 1];
@@ -517,7 +544,7 @@ const AnimaRL = (() => {
       const K = this.K, last = K - 1, at = 2 * b * K, p = this.position;
       const lone = this.model.lone, arena = this.model.arena;
       let nearest = this.contact * this.contact, code = TIME_OUT;
-      for (let i = 0; i < last; i++) {
+      for (let i = 0; i < (this.model.free ? 0 : last); i++) {
         const dx = p[at + 2 * last] - p[at + 2 * i], dy = p[at + 2 * last + 1] - p[at + 2 * i + 1];
         const squared = dx * dx + dy * dy;
         if (squared < nearest) code = i + 1;
@@ -529,7 +556,7 @@ const AnimaRL = (() => {
         const out = arena.shape === "square"
           ? Math.max(Math.abs(x), Math.abs(y)) > this.boundary
           : x * x + y * y > this.boundary * this.boundary;
-        if (out) return (i === last) !== lone ? TARGET_OUT : PURSUER_OUT;
+        if (out) return (i === last) !== lone && !this.model.free ? TARGET_OUT : PURSUER_OUT;
       }
       return TIME_OUT;
     }
@@ -545,12 +572,14 @@ const AnimaRL = (() => {
           const dvx = v[other] - v[own], dvy = v[other + 1] - v[own + 1];
           others.push({ j, dx, dy, dvx, dvy, apart: Math.sqrt(dx * dx + dy * dy) });
         }
-        others.sort((one, two) => (two.j === last) - (one.j === last) || one.apart - two.apart || one.j - two.j);
-        const focus = others[0], [ex, ey] =
-          focus.apart > 0 ? [focus.dx / focus.apart, focus.dy / focus.apart] : [1, 0];
+        const { free, senses } = this.model, first = free ? -1 : last;
+        others.sort((one, two) => (two.j === first) - (one.j === first) || one.apart - two.apart || one.j - two.j);
+        let [ex, ey] = [1, 0];
+        if (free) [ex, ey] = this.#course(b, i);
+        else if (others[0].apart > 0) [ex, ey] = [others[0].dx / others[0].apart, others[0].dy / others[0].apart];
         this.towards[own] = ex;
         this.towards[own + 1] = ey;
-        this.#write(b, i, ex, ey, others);
+        this.#write(b, i, ex, ey, others.slice(0, senses.first.length - 1));
       }
     }
 
@@ -594,20 +623,29 @@ const AnimaRL = (() => {
       const time = column(0, "TIME");
       if (time !== ABSENT) out[time] = Math.log(1 + Math.min(this.steps[b], senses.limit));
       senses.past.forEach((_, s) => {
-        const mean = ((b * senses.past.length + s) * K + i) * 2, names = ["SHORT", "LONG"][s];
+        const mean = ((b * this.scales + s) * K + i) * 2, names = ["SHORT", "LONG"][s];
         scaled(
           column(0, `FINE_${names}`), column(0, `COARSE_${names}`), column(0, `LOG_${names}`),
           this.past[mean], this.past[mean + 1],
         );
       });
+      senses.memory.forEach((_, s) => {
+        const place = (row) => ((b * this.scales + row) * K + i) * 2, at = S.FINE_MEMORY + 5 * s;
+        const [fine, coarse, log, turn, speed] = senses.first[0].slice(at, at + 5), more = place(s + senses.memory.length);
+        if (fine === ABSENT) return;
+        scaled(fine, coarse, log, this.past[place(s)], this.past[place(s) + 1]);
+        out[turn] = this.past[more];
+        out[speed] = Math.log(Math.fround(this.past[more + 1] / stride + REST));
+      });
+      const faced = this.model.free ? 0 : 1; // how many of the others lie straight ahead by definition
       others.forEach((other, rank) => {
         const c = (name) => senses.first[rank + 1][S[name]];
         const [oa, ol] = egocentric(other.dx, other.dy, ex, ey);
         out[c("DISTANCE")] = other.apart;
-        pair(c("PLACE"), oa, rank === 0 ? 0 : ol);
-        if (c("BEARING") !== ABSENT) out[c("BEARING")] = rank === 0 ? 0 : Math.atan2(ol, oa);
+        pair(c("PLACE"), oa, rank < faced ? 0 : ol);
+        if (c("BEARING") !== ABSENT) out[c("BEARING")] = rank < faced ? 0 : Math.atan2(ol, oa);
         pair(c("DRIFT"), ...egocentric(other.dvx, other.dvy, ex, ey));
-        if (rank > 0 && c("BEARING_CIRCLE") !== ABSENT) {
+        if (rank >= faced && c("BEARING_CIRCLE") !== ABSENT) {
           const ux = other.apart > 0 ? other.dx / other.apart : ex;
           const uy = other.apart > 0 ? other.dy / other.apart : ey;
           pair(c("DIRECTION"), ux, uy);
@@ -971,10 +1009,21 @@ const AnimaRL = (() => {
     return any;
   }
 
-  /** Distance of the nearest pursuer to the target, or of a searcher to the source. */
+  /** Distance of the nearest pursuer to the target, of a searcher to the source, or of free neighbours. */
   function distance(world, b) {
     const K = world.K, at = 2 * b * K, p = world.position;
     if (world.model.world === "search") return Math.hypot(p[at], p[at + 1]);
+    if (world.model.free) {
+      let sum = 0;
+      for (let i = 0; i < K; i++) {
+        let least = K > 1 ? Infinity : 0;
+        for (let j = 0; j < K; j++) {
+          if (j !== i) least = Math.min(least, Math.hypot(p[at + 2 * i] - p[at + 2 * j], p[at + 2 * i + 1] - p[at + 2 * j + 1]));
+        }
+        sum += least / K;
+      }
+      return sum;
+    }
     let nearest = Infinity;
     for (let i = 0; i < K - 1; i++) {
       const dx = p[at + 2 * i] - p[at + 2 * K - 2], dy = p[at + 2 * i + 1] - p[at + 2 * K - 1];

@@ -46,12 +46,15 @@
   }
 
   const body = choice("body", "Sliders of animals change", [["thrust", "thrust"], ["speed", "achieved speed"]], "thrust");
-  const sliders = names.map((name, i) => slider(`body-${i}`, `Thrust of ${name}`));
+  // Animals of a group without a target are alike: one slider changes all of them.
+  const alike = model.free && K > 1, own = alike ? ["all animals"] : names;
+  const factorOf = (i) => factors[`body-${alike ? 0 : i}`];
+  const sliders = own.map((name, i) => slider(`body-${i}`, `Thrust of ${name}`));
   body.addEventListener("change", () =>
-    names.forEach((name, i) => (sliders[i].text.textContent = `${body.value === "speed" ? "Speed" : "Thrust"} of ${name}`)));
+    own.forEach((name, i) => (sliders[i].text.textContent = `${body.value === "speed" ? "Speed" : "Thrust"} of ${name}`)));
   let found = null; // factors on thrusts that wanted speeds take, once they are known
   if (model.arena.shape !== "open") sliders.push(slider("arena", "Size of the arena", 1 / 2, 4));
-  sliders.push(slider("contact", "Contact radius"));
+  if (!model.free) sliders.push(slider("contact", "Contact radius"));
   if (model.acting.kind === "boltzmann") sliders.push(slider("warmth", "Temperature of the choice of actions"));
   const condition = model.conditions.length && (model.told || model.condition_is_sensed)
     ? choice("condition", "Condition", [["", "as recorded"], ...model.conditions.map((name, k) => [k, name])], "")
@@ -61,10 +64,10 @@
   function options() {
     return {
       ...usual,
-      thrust: usual.thrust.map((value, i) => value * (body.value === "speed" ? (found ? found[i] : 1) : factors[`body-${i}`])),
+      thrust: usual.thrust.map((value, i) => value * (body.value === "speed" ? (found ? found[i] : 1) : factorOf(i))),
       arena: usual.arena * (factors.arena || 1),
       boundary: usual.boundary === null ? null : usual.boundary * (factors.arena || 1),
-      contact: usual.contact * factors.contact,
+      contact: usual.contact * (factors.contact || 1),
       warmth: factors.warmth || 1,
       condition: condition && condition.value !== "" ? Number(condition.value) : null,
     };
@@ -141,7 +144,8 @@
 
   function reach() {
     if (model.world === "search") return 0.36;
-    return 1.12 * Math.max(usual.arena, episodes[0] ? episodes[0].world.size : usual.arena);
+    const seen = model.arena.shape === "open" ? episodes.flatMap((one) => Array.from(one.world.position, Math.abs)) : [];
+    return 1.12 * Math.max(usual.arena, episodes[0] ? episodes[0].world.size : usual.arena, ...seen);
   }
 
   function toPixels([x, y]) {
@@ -203,12 +207,12 @@
       pen.fill();
       pen.fillStyle = style.getPropertyValue("--ink");
       pen.font = "18px system-ui, sans-serif";
-      pen.fillText(names[i], at[0] + 13, at[1] - 9);
+      if (K <= 6) pen.fillText(names[i], at[0] + 13, at[1] - 9);
     }
     const goal = model.world === "search" ? [0, 0] : [world.position[2 * K - 2], world.position[2 * K - 1]];
     Object.assign(pen, { strokeStyle: TARGET, lineWidth: 1 });
     pen.beginPath();
-    pen.arc(...toPixels(goal), world.contact * unit, 0, 2 * Math.PI);
+    if (!model.free) pen.arc(...toPixels(goal), world.contact * unit, 0, 2 * Math.PI);
     pen.stroke();
     const time = (world.steps[0] * model.dt).toFixed(1);
     $("state").textContent = world.over[0] ? `${time} s: ${ending(world.outcome[0])}` : `${time} s`;
@@ -229,6 +233,7 @@
   function ending(outcome) {
     if (outcome > 0) return model.world === "search" ? "the source is reached" : `${names[outcome - 1]} touches ${model.lone ? names[K - 1] : "the target"}`;
     if (outcome === 0) return "the time limit";
+    if (model.free) return "an animal leaves the arena";
     return outcome === -1 ? "the target leaves the arena" : "a pursuer leaves the arena";
   }
 
@@ -331,7 +336,11 @@
     });
   }
 
-  const quantities = [
+  const meanOf = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+  const quantities = model.free ? [
+    ["speed", `${model.unit.name}/s`, (one) => meanOf(one.speed)],
+    ...(K > 1 ? [["nearest neighbour", model.unit.name, (one) => one.distance]] : []),
+  ] : [
     ["reached", "share", (one) => one.reached], ["duration", "s", (one) => one.duration],
     ["path length", model.unit.name, (one) => one.path], ["mean distance", model.unit.name, (one) => one.distance],
     ...names.map((name, i) => [`speed of ${name}`, `${model.unit.name}/s`, (one) => one.speed[i]]),
@@ -344,17 +353,17 @@
     const key = seed.value;
     if (!baselines.has(key)) baselines.set(key, await simulate(usual, say("unchanged world")));
     if (token !== waiting) return;
-    const before = baselines.get(key), moved = names.map((_, i) => i).filter((i) => factors[`body-${i}`] !== 1);
+    const before = baselines.get(key), moved = names.map((_, i) => i).filter((i) => factorOf(i) !== 1);
     let told = "";
     if (body.value === "speed" && moved.length) {
       const usually = (i) => before.results.reduce((sum, one) => sum + one.speed[i], 0) / ROLLOUTS;
-      const wanted = moved.map((i) => [i, factors[`body-${i}`] * usually(i), usually(i)]);
+      const wanted = moved.map((i) => [i, factorOf(i) * usually(i), usually(i)]);
       const { factors: thrusts, reached } = await simulate(options(), (share) => {
         $("progress").textContent = `Thrusts for these speeds: try ${Math.round(10 * share)} of 10 at most`;
       }, wanted);
       if (token !== waiting) return;
       found = names.map((_, i) => (moved.includes(i) ? thrusts[moved.indexOf(i)] : 1));
-      told = ` Thrust ${moved.map((i) => `× ${found[i].toFixed(2)} for ${names[i]}`).join(", ")}`
+      told = ` Thrust ${alike ? `× ${meanOf(found).toFixed(2)} on average` : moved.map((i) => `× ${found[i].toFixed(2)} for ${names[i]}`).join(", ")}`
         + (reached ? "." : ": no thrust was found that reaches the wanted speed, so look at the speeds in the table.");
       begin();
     }
@@ -390,8 +399,9 @@
         .forEach((text) => (row.insertCell().textContent = text));
     }
     const box = $("histograms");
-    box.replaceChildren(outcomes(before.results, after.results));
-    const moving = quantities.filter(([name]) => name === "duration" || name === "path length" || name.startsWith("speed"));
+    const leaving = !model.free || [...before.results, ...after.results].some((one) => one.outcome !== 0);
+    box.replaceChildren(...(leaving ? [outcomes(before.results, after.results)] : []));
+    const moving = quantities.filter(([name]) => model.free || name === "duration" || name === "path length" || name.startsWith("speed"));
     for (const [name, unit, value] of moving.slice(0, 5)) {
       box.append(histogram(`${name} [${unit}]`, model.recorded.measured[name], before.results.map(value), after.results.map(value)));
     }

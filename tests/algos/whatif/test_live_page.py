@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from browser import chromium
 from commands import animarl
+from small_runs import few, made
 
 from animarl_algos import load_run
 from animarl_algos.evaluation.collect import remembered
@@ -22,7 +23,7 @@ from animarl_algos.runs.run import Run
 from animarl_algos.whatif.live_page import page_model, write_page
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import make_scenario
+from animarl_envs.species.traits import Traits
 from animarl_envs.worlds import make_world
 
 COPIES, STEPS = 4, 250  # 1,000 steps of every individual
@@ -107,9 +108,14 @@ def recorded_steps(run: Run) -> dict[str, Any]:
     return log
 
 
-@pytest.mark.parametrize("species", ["agent", "fly", "newt", "silkmoth"])
-def test_parity_of_the_page_with_python(species: str) -> None:
-    run = load_run(species)
+@pytest.mark.parametrize("species", ["agent", "fly", "newt", "silkmoth", "solo", "shoal"])
+def test_parity_of_the_page_with_python(species: str, tmp_path: Path) -> None:
+    if species in ("solo", "shoal"):  # nobody is pursued; no trained model is packaged
+        demos = few(species, 4, 2, COPIES)
+        made(tmp_path, "soft-bc", demos=demos, species=species, rolled_out=False)
+        run = load_run(tmp_path / "soft-bc-0")
+    else:
+        run = load_run(species)
     given = {"model": page_model(run), "log": recorded_steps(run), "copies": COPIES}
     engine = resources.files("animarl_algos.whatif") / "page" / "engine.js"
     said = subprocess.run(
@@ -142,10 +148,12 @@ def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 2)
     assert "3 individuals are more than the 2" in refusal()
     monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 60)
-    monkeypatch.setitem(run.__dict__, "scenario", make_scenario("shoal", demos=None))
-    with pytest.raises(InputError, match="nobody is pursued"):
-        page_model(run)
     moth = load_run("silkmoth")
+    traits = Traits(np.zeros((2, 1, 2)), np.ones((1, 2)), np.zeros((1, 1, 2)))
+    unlike = replace(moth.scenario, species=replace(moth.scenario.species, traits=traits))
+    with monkeypatch.context() as patched, pytest.raises(InputError, match="differ by traits"):
+        patched.setitem(moth.__dict__, "scenario", unlike)
+        page_model(moth)
     monkeypatch.setitem(
         moth.__dict__,
         "scenario",
