@@ -4,17 +4,21 @@ The focus of a pursuer is the target; the focus of the target is its nearest pur
 each frame (ties: the lower index). Where one pursues several, the focus of each target is the
 pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
 its focus is the fixed upwind direction. Where nobody is pursued each animal has its own course:
-where it has been going over the last second (:data:`COURSE`).
+where it has been going over the last second (:data:`COURSE`), or another rule that is named
+(:func:`focus_rule`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.compiling import jit, part
+from animarl_envs.errors import InputError
 
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
@@ -44,34 +48,90 @@ def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
     return mean + max(share, 1.0 / (1.0 + steps)) * (value - mean)
 
 
-def courses(
-    velocities: NDArray[np.floating], steps: NDArray[np.integer], dt: float
-) -> NDArray[np.float64]:
-    """Unit vectors ``(frames, individuals, 2)`` along the course of each free animal.
+class FocusRule(NamedTuple):
+    """What each free animal is heading for, as kernels read it: see :func:`focus_rule`."""
 
-    Parameters
-    ----------
-    velocities
-        ``(frames, individuals, 2)``, episodes end to end [arena unit / s].
-    steps
-        ``(frames,)`` since the start of each episode.
-    dt
-        Duration of a step [s].
+    kind: int
+    nearest: int = 0
+    x: float = 0.0
+    y: float = 0.0
+
+
+ON_COURSE, TO_NEAREST, ALONG, TO_POINT = range(4)
+
+
+def focus_rule(words: str) -> FocusRule:
+    """Return the rule for free animals that ``words`` name.
+
+    ``course``: its own; ``nearest``: the nearest other; ``centre K``: the centre of the K nearest;
+    ``direction X Y``: a fixed one; ``point X Y``: a place [arena unit].
+
+    Raises
+    ------
+    InputError
+        If they name none.
     """
-    mean: NDArray[np.float64] = np.array(velocities, dtype=np.float64)
-    _average(mean, np.asarray(steps, dtype=np.int64), share_of(COURSE, dt))
-    length = np.hypot(mean[..., 0], mean[..., 1])[..., None]
-    return np.where(length > 0, mean / np.where(length > 0, length, 1.0), np.array(FALLBACK))
+    name, *numbers = str(words).split()
+    try:
+        found = tuple(float(number) for number in numbers)
+    except ValueError:
+        found = (math.nan,)
+    if all(map(math.isfinite, found)):
+        if (name, len(found)) == ("course", 0):
+            return FocusRule(ON_COURSE)
+        if (name, len(found)) == ("nearest", 0):
+            return FocusRule(TO_NEAREST, 1)
+        if (name, len(found)) == ("centre", 1) and found[0] >= 1 and found[0] == int(found[0]):
+            return FocusRule(TO_NEAREST, int(found[0]))
+        if (name, len(found)) == ("direction", 2) and any(found):
+            return FocusRule(ALONG, 0, *found)
+        if (name, len(found)) == ("point", 2):
+            return FocusRule(TO_POINT, 0, *found)
+    raise InputError(
+        f"focus is {words!r}: choose 'course', 'nearest', 'centre K', 'direction X Y' or "
+        "'point X Y'"
+    )
+
+
+@part
+def aim(i, b, rule, position, course_x, course_y):  # type: ignore[no-untyped-def]
+    """The unit vector towards the focus of free animal ``i``; ``position`` is ``(K, 2, B)``."""
+    x, y, own_x, own_y = course_x, course_y, position[i, 0, b], position[i, 1, b]
+    if rule.kind == ALONG:
+        x, y = rule.x, rule.y
+    elif rule.kind == TO_POINT:
+        x, y = rule.x - own_x, rule.y - own_y
+    elif rule.kind == TO_NEAREST:
+        x, y, last, who = 0.0, 0.0, -1.0, -1
+        for _ in range(min(rule.nearest, position.shape[0] - 1)):
+            best, found = np.inf, -1
+            for j in range(position.shape[0]):
+                dx, dy = position[j, 0, b] - own_x, position[j, 1, b] - own_y
+                apart = dx * dx + dy * dy
+                farther = apart > last or (apart == last and j > who)
+                if j != i and farther and apart < best:
+                    best, found = apart, j
+            last, who = best, found
+            x += position[found, 0, b] - own_x
+            y += position[found, 1, b] - own_y
+    length = math.sqrt(x * x + y * y)
+    if length > 0.0:
+        return x / length, y / length
+    return FALLBACK[0], FALLBACK[1]
 
 
 @jit
-def _average(mean, steps, share):  # type: ignore[no-untyped-def]
-    """Average velocities with those before, in place."""
-    for t in range(1, len(mean)):
-        if steps[t] > 0:
-            for i in range(mean.shape[1]):
-                for x in range(2):
-                    mean[t, i, x] = averaged(mean[t - 1, i, x], mean[t, i, x], share, steps[t])
+def _aim_frames(rule, position, course, steps, share, towards):  # type: ignore[no-untyped-def]
+    """Focus of free animals in frames ``(K, 2, frames)``; ``course`` has their velocities."""
+    for i in range(position.shape[0]):
+        for t in range(position.shape[2]):
+            for x in range(2):
+                if steps[t] > 0:
+                    before, now = course[i, x, t - 1], course[i, x, t]
+                    course[i, x, t] = averaged(before, now, share, steps[t])
+            towards[i, 0, t], towards[i, 1, t] = aim(
+                i, t, rule, position, course[i, 0, t], course[i, 1, t]
+            )
 
 
 def focus_directions(
@@ -79,12 +139,14 @@ def focus_directions(
     roles: Sequence[str],
     velocities: NDArray[np.floating] | None = None,
     steps: NDArray[np.integer] | None = None,
-    dt: float = 0.0,
+    dt: float = 1.0,
+    rule: str = "course",
 ) -> NDArray[np.float64]:
     """Unit vectors towards the focus of each individual.
 
-    That of a free animal is its course, by its ``velocities``, the ``steps`` since the start and
-    their duration (:func:`courses`); without them it has not moved yet.
+    That of a free animal follows a ``rule`` (:func:`focus_rule`). Its course is told from its
+    ``velocities``, the ``steps`` since the start and their duration ``dt`` [s]; without them it has
+    not moved yet.
 
     Parameters
     ----------
@@ -98,10 +160,19 @@ def focus_directions(
     -------
     ``(..., individuals, 2)``, arena frame; ``FALLBACK`` where the distance is zero.
     """
-    if is_free(roles) and velocities is not None and steps is not None:
-        return courses(velocities, steps, dt)
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     out = np.empty_like(points)
+    if is_free(roles):
+        frames, since = points.reshape(-1, *points.shape[-2:]), steps
+        if velocities is None or since is None:
+            velocities, since = np.zeros_like(frames), np.zeros(len(frames), dtype=np.int64)
+        place, course = (
+            np.array(one.transpose(1, 2, 0), dtype=np.float64, order="C")
+            for one in (frames, velocities)
+        )
+        towards, since = np.empty_like(place), np.asarray(since, dtype=np.int64)
+        _aim_frames(focus_rule(rule), place, course, since, share_of(COURSE, dt), towards)
+        return np.ascontiguousarray(towards.transpose(2, 0, 1)).reshape(points.shape)
     for i, candidates in enumerate(foci(roles)):
         if not candidates:
             out[..., i, :] = UPWIND if candidates is None else FALLBACK

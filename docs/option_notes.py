@@ -76,6 +76,11 @@ NOTES: dict[str, tuple[str, str]] = {
         "scales of the inputs of a policy that was trained in another world; `None`: those of this "
         "world",
     ),
+    "traits": (
+        "`Traits`, `None`",
+        "in which individuals differ from each other; fitted for your own moths, and for your own "
+        "animals without a target",
+    ),
     "mirror_symmetric": ("`True`, `False`", "whether learners may mirror its episodes at random"),
     "bodies": ("one or two names", "drawing of all individuals, or of pursuers and target"),
     "planned_flip": (
@@ -155,6 +160,11 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "a whole number, at least 0",
         "how many of its nearest neighbours a free animal sees",
     ),
+    "focus": (
+        "`'course'`, `'nearest'`, `'centre K'`, `'direction X Y'`, `'point X Y'`",
+        "what a free animal's actions and senses are relative to: its course, the nearest other, "
+        "the centre of the K nearest, a fixed direction, or a place",
+    ),
     "shoaling_reward": (
         "`True`, `False`",
         "whether a free animal is paid for time within the contact radius of another [s]",
@@ -184,10 +194,6 @@ SEARCH_ONLY: dict[str, tuple[str, str]] = {
     "turning": (
         "a `Turning`, `{'persistence': p, 'gain': g, 'slip': s, 'speed': v}`, `None`",
         "how the body turns; `None`: it points where it walks",
-    ),
-    "traits": (
-        "`Traits` or `None`",
-        "how searchers differ from each other; `None`: they are alike; fitted for your own animals",
     ),
     "flow_threshold": (NOT_NEGATIVE, "yaw rates below it give no visual flow [rad/s]"),
     "flow_limit": (POSITIVE, "visual flow is clipped here [rad/s]"),

@@ -40,7 +40,9 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     duration, seconds = found["duration"], found["total_duration"]
     rows = {
         "species": demos.species,
-        "individuals": ", ".join(f"{n} ({r})" for n, r in found["individuals"].items()),
+        "individuals": ", ".join(
+            f"{n} ({r})" if demos.has_goal else n for n, r in found["individuals"].items()
+        ),
         "kind": "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals",
         "source": found["source"],
         "made by": told.get("command"),
@@ -260,6 +262,12 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
         found.append(
             "the end of a recording is taken for the end of the film, after which the animals "
             "went on: otherwise give --ends contact, or --ends left if an animal left the field"
+        )
+    if most := demos.provenance.get("animals_tracked"):
+        found.append(
+            f"animals come and go: each episode holds {demos.num_individuals} of up to {most}, who "
+            "are there throughout, and nothing is seen of the others: fill gaps by --max-gap, or "
+            "choose a shorter --piece, to keep more"
         )
     least = [one.get("confidence_of_at_least") for one in _cleaning(demos).values()]
     limits = [one for one in least if one is not None]

@@ -45,6 +45,9 @@ OTHERS = {
         help="Cross-validate in so many folds, 0: never; by default in 5 where the test split has "
         "fewer than 10 recordings, and all splits together have 10 or more.",
     )),
+    "neighbours": option("neighbours", int | None, None, typer.Option(
+        help="Of a group without a target: how many of the others each one sees, the nearest.",
+    )),
     "out": option("out", Path, Path("runs/run"), typer.Option(
         help="Run folder; an unfinished run in it is continued.",
     )),
@@ -82,8 +85,8 @@ def _options(names: str) -> list[inspect.Parameter]:
 
 
 @asks_for(_options(
-    "file env species algo preset steps seed out source copies focal policy device config "
-    "fit_method thrusts acting repetitions folds baselines settings"
+    "file env species algo preset steps seed out source copies focal neighbours policy device "
+    "config fit_method thrusts acting repetitions folds baselines settings"
 ))  # fmt: skip
 def run_command(**given: Any) -> None:
     """Build a simulator from recordings: fit, train, evaluate, report.
@@ -146,8 +149,8 @@ def run_command(**given: Any) -> None:
 
 
 @asks_for(_options(
-    "context file env species algo preset steps seed out resume source copies focal policy device "
-    "config fit_method thrusts acting settings"
+    "context file env species algo preset steps seed out resume source copies focal neighbours "
+    "policy device config fit_method thrusts acting settings"
 ))  # fmt: skip
 def train_command(context: typer.Context, **given: Any) -> None:
     """Fit the locomotion and train; the same command continues a run that was stopped.
@@ -222,6 +225,9 @@ def _open(given: dict[str, Any]) -> Run:
     if species is None:
         species = demos.species if demos.species in SPECIES else CUSTOM
     overrides = parse_settings(given["settings"])
+    if given["neighbours"] is not None:
+        worlds = overrides.setdefault("env_kwargs", {})
+        overrides["env_kwargs"] = {**worlds, "neighbours": given["neighbours"]}
     if given["policy"] is not None:
         overrides["policy"] = given["policy"]
     told = {k: v for k, v in given.items() if k in RunSettings.model_fields and v is not None}

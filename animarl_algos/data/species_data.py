@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +21,16 @@ from animarl_envs.fitting.tracking import Tracking, one_step_misses, track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import Species
-from animarl_envs.worlds import Mirror, demonstration_observations, mirror
+from animarl_envs.worlds import (
+    Mirror,
+    demonstration_observations,
+    mirror,
+    observation_components,
+)
 
 HORIZON = Range(ge=1)  # [steps]
+PER_ACTION, PER_COMPONENT = 44, 12
+"""Bytes of a frame and individual while labels and observations are made."""
 
 
 class Labels(StrEnum):
@@ -29,6 +39,15 @@ class Labels(StrEnum):
     HARD = "hard"  # the action nearest to the recorded acceleration, at recorded states
     SOFT = "soft"  # a probability for each action, by how near it would have led
     TRACKING = "tracking"  # actions that follow the recording, at the states they lead to
+
+
+def available_memory() -> float:
+    """Bytes that can be taken, infinity where the system does not say."""
+    with suppress(OSError):
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024.0 * int(line.split()[1])
+    return math.inf
 
 
 def check_labels(labels: str, width: float, horizon: float = 1.0) -> None:
@@ -104,6 +123,17 @@ class SpeciesDemonstrations:
 
     def _dataset(self, split: str) -> OfflineDataset:
         demos, species = self.demos, self.species
+        rows = int(demos.lengths[demos.split == split].sum()) * demos.num_individuals
+        components = len(observation_components(species))
+        needed = rows * (PER_ACTION * species.num_actions + PER_COMPONENT * components)
+        free = available_memory()
+        if needed > free:
+            raise InputError(
+                f"{demos.name} ({split}): {demos.num_individuals} animals with "
+                f"{species.num_actions} actions take about {needed / 1e9:.1f} GB of memory, and "
+                f"{free / 1e9:.1f} GB are free: use fewer animals or episodes, a lower "
+                "--decision-rate, or fewer --thrusts"
+            )
         within = np.repeat(demos.split == split, demos.lengths)
         if self.labels == Labels.TRACKING:
             demos = replace(demos, positions=self.tracked.positions).select(split=split)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal, Protocol
 
@@ -62,6 +62,29 @@ class RandomPolicy(MemorylessPolicy):
 
     def act(self, observation: NDArray[np.floating] | Mapping[str, Any]) -> NDArray[np.int64]:
         return self._rng.integers(self._num_actions, size=len(observation))
+
+
+class Blindfolded:
+    """A policy shown, in the place of each animal's neighbours, those of another animal.
+
+    What it is shown moves as neighbours do, and has nothing to do with the animal: whoever reacts
+    to its neighbours loses them. The other one is of the next individual and, where there are
+    several copies, of another episode.
+    """
+
+    def __init__(self, policy: Any, names: Sequence[str]) -> None:
+        self._policy = policy
+        self._seen = np.array([name.startswith("other ") for name in names])
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._policy, name)
+
+    def predict(self, observation: NDArray[Any], *more: Any, **known: Any) -> tuple[Any, Any]:
+        """Return the policy's actions and state."""
+        shown, seen = observation.copy(), np.flatnonzero(self._seen)
+        shown[:, seen] = np.roll(observation[:, seen], len(observation) // 2 + 1, axis=0)
+        actions, state = self._policy.predict(shown, *more, **known)
+        return actions, state
 
 
 def collect_rollouts(

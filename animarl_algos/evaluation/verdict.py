@@ -40,6 +40,7 @@ from animarl_algos.evaluation.statistics import (
 )
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
+    CONTROLS,
     DIFFERS,
     OUTCOMES,
     SAME,
@@ -277,8 +278,9 @@ def verdict(
         The same demonstrations as the fitted locomotion follows them, and with some actions at
         random, to read areas by.
     baselines
-        Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, and of an
-        ``"untrained"`` network, which a trained one should beat.
+        Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, of an
+        ``"untrained"`` network, which a trained one should beat, and of a group's ``"blind"`` one,
+        which does not see its neighbours.
     references
         Other recordings, for recordings against recordings; by default halves of ``recorded``.
     smoothing
@@ -295,7 +297,8 @@ def verdict(
     baselines = baselines or {}
     compared = Compared.of(recorded, rollouts, seed, smoothing)
     prepared, counted, streams = compared.prepared, compared.counted, compared.streams
-    rows = verdict_rows(prepared, counted, compared.joint_tests(), streams[0])
+    unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None
+    rows = verdict_rows(prepared, counted, compared.joint_tests(), streams[0], unseeing)
     beside = read_beside(prepared, floor, perturbed, baselines)
     windows, parts = judge_windows(prepared, counted, beside, references, streams[1:3])
     sequences = judge_sequences(prepared, counted, beside, compared.animal, streams[4])
@@ -311,7 +314,7 @@ def verdict(
     total, table = scored.table.iloc[-1], pd.DataFrame(rows)
     starts = np.unique(counted.demo)
     return Verdict(
-        table=table.drop(columns="strangers") if table["strangers"].isna().all() else table,
+        table=table.drop(columns=[name for name in CONTROLS if table[name].isna().all()]),
         words=words,
         learner=rollouts.method,
         starts=len(starts),

@@ -50,6 +50,7 @@ ENDINGS_LEVEL = 0.01  # of the endings together
 LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
 LITTLE_SHARE = 0.05  # the same for a share of episodes or steps, and for a correlation
 OUTCOMES = "outcomes"
+CONTROLS = ("strangers", "blind")  # columns of a group alone
 KINDS = {
     KINEMATIC: "Motion of individuals",
     ORDER: "Order in time",
@@ -91,7 +92,8 @@ class Row:
     ``JUDGEMENTS``, ``verdict`` the same in words; ``covers`` says what the interval speaks of,
     ``reason`` why there is none. ``wasserstein_distance`` and ``energy`` compare distributions;
     beside them stand what recordings drawn from recordings, and of other starts, come to.
-    ``strangers``: of a group, the recorded mean were its animals of different recordings.
+    Of a group, ``strangers`` is the recorded mean were its animals of different recordings, and
+    ``blind`` that of rollouts in which none sees its own neighbours.
     """
 
     measure: str
@@ -114,6 +116,7 @@ class Row:
     energy: float = math.nan
     energy_pooled: float = math.nan
     strangers: float = math.nan
+    blind: float = math.nan
 
 
 def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
@@ -178,13 +181,18 @@ class JointTests:
 
 
 def verdict_rows(
-    prepared: Prepared, counted: Rollouts, tests: JointTests, rng: np.random.Generator
+    prepared: Prepared,
+    counted: Rollouts,
+    tests: JointTests,
+    rng: np.random.Generator,
+    blind: Rollouts | None = None,
 ) -> list[Row]:
-    """Return the rows of endings, of motion and of order."""
+    """Return the rows of endings, of motion and of order; ``blind`` are a group's control."""
     columns, test = tests.columns, tests.test
     can_end = _can_end(prepared, counted)
     rows = [_endings_row(tests, np.unique(counted.demo))] if can_end else []
-    rows += _metric_rows(prepared, counted, columns.names, test, rng)
+    controls = _strangers(prepared), {} if blind is None else prepared.measures(blind)
+    rows += _metric_rows(prepared, counted, columns.names, test, rng, controls)
     return rows + [_kind_row(kind, columns, test) for kind in KINDS if kind in columns.kinds]
 
 
@@ -216,10 +224,11 @@ def _metric_rows(
     names: tuple[str, ...],
     test: ExchangeTest,
     rng: np.random.Generator,
+    controls: tuple[Mapping[str, Floats], Mapping[str, Floats]],
 ) -> Iterator[Row]:
     starts = np.unique(counted.demo)
     true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
-    endless, alone = not _can_end(prepared, counted), _strangers(prepared)
+    endless, (alone, blind) = not _can_end(prepared, counted), controls
     for metric in judged_metrics(prepared.demos):
         a, b = true[metric.key], simulated[metric.key]
         if (metric.is_ending and not (a.any() or b.any())) or (metric is DURATION and endless):
@@ -262,6 +271,7 @@ def _metric_rows(
             covers=covers(many),
             reason=gap.reason,
             strangers=_known_mean(alone[metric.key]) if metric.about == GROUP else math.nan,
+            blind=_known_mean(blind[metric.key]) if metric.about == GROUP and blind else math.nan,
             **spread_too,
         )
 

@@ -172,7 +172,8 @@ class BaseLearner(OffPolicyAlgorithm):
                 f"policy {policy!r} is unknown: choose {' or '.join(self.policy_aliases)}"
             )
         policy_kwargs = dict(whole["policy_kwargs"])
-        if getattr(getattr(env, "demos", None), "is_group", False):  # animals that are alike
+        species = getattr(getattr(env, "scenario", None), "species", None)
+        if getattr(species, "is_group", False):  # animals that are alike, with recordings or not
             policy_kwargs.setdefault("shared", True)
         try:
             super().__init__(

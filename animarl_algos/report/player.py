@@ -157,8 +157,10 @@ def _world(stage: Stage) -> dict[str, Any]:
 
 def track(rollouts: Rollouts, i: int) -> Track:
     """Return an episode, and its ending in words."""
-    goal = "source" if "searcher" in rollouts.roles else "target"
     outcome = int(rollouts.outcome[i])
+    if not rollouts.has_goal:
+        return Track(rollouts.path(i), "an animal left" if outcome == PURSUER_OUT else "over")
+    goal = "source" if "searcher" in rollouts.roles else "target"
     reached = f"{goal} reached" if outcome > 0 else f"{goal} not reached"
     return Track(rollouts.path(i), ENDINGS.get(outcome, reached))
 

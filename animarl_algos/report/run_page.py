@@ -147,7 +147,8 @@ def _speeds(inputs: ReportInputs) -> Iterator[Block]:
     images = []
     for role in dict.fromkeys(inputs.demos.roles):
         chosen = roles == role
-        title = role.capitalize() + ("s" if chosen.sum() > 1 else "")
+        kind = role.capitalize() if inputs.demos.has_goal else "Animal"
+        title = kind + ("s" if chosen.sum() > 1 else "")
         both = simulated[:, chosen].ravel(), recorded[:, chosen].ravel()
         figure = figures.speed_histogram(*both, words, title)
         alt = f"Histogram of speeds: {title}, simulated over recorded"

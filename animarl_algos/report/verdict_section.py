@@ -10,7 +10,7 @@ from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.realism import REFERENCES
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, LEVEL, SAME, UNKNOWN
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, CONTROLS, DIFFERS, LEVEL, SAME, UNKNOWN
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
 from animarl_algos.report.page import Block, Gallery, Lead, Table, tabulate
@@ -170,7 +170,7 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
                 NOTHING if row["measure"] in judges else scaled("distance")(row)
             ),
             "Null": null,
-            **({"Strangers": scaled("strangers")} if "strangers" in verdict.table else {}),
+            **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
             "Verdict": lambda row: words.say(str(row["verdict"])),
         },
         [("", (row for _, row in verdict.table.iterrows()))],
@@ -190,6 +190,8 @@ def _caption(verdict: Verdict) -> str:
     if "strangers" in verdict.table:
         said += " Strangers: recorded animals of different episodes put together, a group without"
         said += " reactions."
+    if "blind" in verdict.table:
+        said += " Blind: the same clone, where each animal is shown another one's neighbours."
     for key, name in ((AUC, "classifier's AUC"), (SEQUENCE, "AUC of order")):
         areas = verdict.areas.get(key, {})
         told = [

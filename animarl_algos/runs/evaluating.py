@@ -9,6 +9,7 @@ import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation.acting_choice import MARGIN
-from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy
+from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate, write_tables
@@ -36,8 +37,10 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
 from animarl_envs.fitting.result import doubts
 from animarl_envs.fitting.tracking import track
+from animarl_envs.scenario import Scenario
+from animarl_envs.worlds import observation_components
 
-UNTRAINED, RANDOM = "untrained", "random"
+UNTRAINED, RANDOM, BLIND = "untrained", "random", "blind"
 INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 
@@ -62,9 +65,9 @@ def roll_out(run: Run) -> dict[str, Rollouts]:
     rollouts = {}
     for name, (policy, cue) in policies.items():
         cues = [cue]
-        if cue is not None and name != UNTRAINED:
+        if cue is not None and name not in (UNTRAINED, BLIND):
             cues.append("flipped")
-        rollouts[name] = Rollouts.concatenate([run.roll_out(policy, name, one) for one in cues])
+        rollouts[name] = Rollouts.concatenate([_rolled_out(run, policy, name, c) for c in cues])
         rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
     return rollouts
 
@@ -80,11 +83,24 @@ def _policies(run: Run, learner: SequenceQLearning) -> dict[str, tuple[Policy, C
     for algo in settings.compared:
         if run.has_policy(algo):
             policies[method_name(algo)] = run.trained(algo), cue
+    if settings.baselines and run.demos.is_group:
+        policies[BLIND] = learner, cue
     if settings.baselines:
         untrained = run.untrained()
         policies[UNTRAINED] = untrained, cue
         policies[RANDOM] = RandomPolicy(settings.seed, untrained.policy.num_actions), None
     return policies
+
+
+def _rolled_out(
+    run: Run, policy: Policy, name: str, cue: Cue | None, scenario: Scenario | None = None
+) -> Rollouts:
+    """Return rollouts of a policy; under the name :data:`BLIND` it does not see its neighbours."""
+    if name != BLIND:
+        return run.roll_out(policy, name, cue, scenario=scenario)
+    components = observation_components(run.species)
+    shown = partial(Blindfolded, names=[one.name for one in components])
+    return run.roll_out(policy, name, cue, scenario=scenario, wrap=shown)
 
 
 def evaluate_rollouts(
@@ -242,7 +258,7 @@ def compare_runs(
             return _stored_rollouts(run, runs)
         own, scenario = method_name(run.settings.algo), run.starting_from("test", demos=new)
         return {
-            name: run.roll_out(policy, name, cue, scenario=scenario)
+            name: _rolled_out(run, policy, name, cue, scenario)
             for name, (policy, cue) in _policies(run, run.policy).items()
             if name == own or name not in runs.methods
         }

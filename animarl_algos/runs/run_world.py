@@ -23,7 +23,7 @@ from animarl_envs.worlds import observation_components
 SENSES = ("observation_noise", "observation_delay")
 CHANGES_INPUTS = (
     "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
-    "neighbours", "free",
+    "neighbours", "free", "focus",
 )  # fmt: skip
 """Options that say who is there and what is shown of them; others may change it, too."""
 
@@ -33,6 +33,8 @@ def select_individuals(demos: Demonstrations, options: Mapping[str, Any]) -> Dem
     for key in COUNTS:
         if options.get(key) is not None:
             demos = first_of_role(demos, key, options[key])
+    if options.get("focus") is not None:
+        demos = demos.with_focus(options["focus"])
     return demos
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
@@ -175,7 +175,17 @@ class Demonstrations(Episodes):
     def focus(self) -> NDArray[np.float64]:
         """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
         velocities, steps = self.velocities(), self.steps()
-        return focus_directions(self.positions, self.roles, velocities, steps, self.dt)
+        rule = self.focus_rule
+        return focus_directions(self.positions, self.roles, velocities, steps, self.dt, rule)
+
+    @property
+    def focus_rule(self) -> str:
+        """What free animals head for, see :func:`animarl_envs.focus.focus_rule`."""
+        return str(self.provenance.get("focus", "course"))
+
+    def with_focus(self, rule: str) -> Self:
+        """Return the same recordings of free animals that head for something else."""
+        return replace(self, provenance={**self.provenance, "focus": rule})
 
     def headings(self) -> NDArray[np.float64] | None:
         """Recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].

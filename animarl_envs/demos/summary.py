@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED, PURSUER_OUT, TARGET_OUT, TIME_OUT
-from animarl_envs.focus import distances_to_target
+from animarl_envs.focus import distances_to_target, is_free
 from animarl_envs.species import SPECIES
 
 RESTING_SHARE = 0.05  # of the 99th percentile of speed: below it an individual counts as resting
@@ -34,6 +34,8 @@ def outcome_name(outcome: int, demos: Demonstrations) -> str:
         return reached.get(role, f"contact by {name}")
     if outcome == TARGET_OUT and demos.roles.count("target") > 1:
         return "a target left"
+    if outcome == PURSUER_OUT and not demos.has_goal:
+        return "an animal left"
     return OUTCOME_NAMES.get(outcome, "recording ended")
 
 
@@ -46,7 +48,8 @@ def ending_in_words(outcome: int, individuals: Sequence[str], roles: Sequence[st
         return f"{name} reached {'the source' if role == 'searcher' else individuals[-1]}"
     if outcome == TARGET_OUT:
         return f"{individuals[-1] if roles[-1] == 'target' else 'a target'} left the arena"
-    return "a pursuer left the arena" if outcome == PURSUER_OUT else ""
+    leaving = "an animal" if is_free(roles) else "a pursuer"
+    return f"{leaving} left the arena" if outcome == PURSUER_OUT else ""
 
 
 def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:

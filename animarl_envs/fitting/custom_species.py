@@ -83,6 +83,8 @@ def species_of(
         - the time since the start is seen where the import began every episode at a separation
           (``senses_time``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
+        - of whom nobody is pursued, simulated animals differ from each other where the recorded
+          ones do (``species.traits``);
         - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with
           its heading and its odour gets odour as recorded searchers did (``fitting.odour``);
           where those differ from each other, simulated ones do (``species.traits``).
@@ -121,6 +123,8 @@ def species_of(
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
         own["mirror_symmetric"] = not takes_sides(demos)
         own["senses_past"] = locomotion[0].thrusts > 1 or numbers.free
+        if numbers.free and not demos.synthetic:
+            own["traits"] = fitted_traits(demos)
         cutting = _cutting(demos)  # do all episodes begin at the same event?
         apart = (cutting.get("mode"), cutting.get("start")) == ("approach", "separation")
         own["senses_time"] = apart and _seconds(cutting.get("keep_last")) == math.inf
@@ -173,10 +177,18 @@ def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None
 
 
 def fitted_traits(demos: Demonstrations) -> Traits | None:
-    """Traits of the training episodes (of all, if there are none); None where they are alike."""
+    """Traits of the training episodes (of all, if there are none); None where they are alike.
+
+    Animals of a group stand for each other, so these are the traits of all of them.
+    """
     trained = (demos.split == "train").any()
     training = demos.select(split="train") if trained else demos
-    return fit_traits(training.positions, training.lengths, demos.dt, training.condition)
+    positions, lengths, condition = training.positions, training.lengths, training.condition
+    if demos.is_group:
+        alike = demos.num_individuals
+        positions = positions.transpose(1, 0, 2).reshape(-1, 1, 2)
+        lengths, condition = np.tile(lengths, alike), np.tile(condition, alike)
+    return fit_traits(positions, lengths, demos.dt, condition)
 
 
 def takes_sides(demos: Demonstrations) -> bool:
@@ -214,7 +226,7 @@ def _sine(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
 
 
 def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:
-    key = fit.__name__, demos.fingerprint(), number
+    key = fit.__name__, demos.fingerprint() + demos.focus_rule, number
     if key not in _FITS:
         trained = (demos.split == "train").any()
         _FITS[key] = fit(demos.select(split="train") if trained else demos, number)
@@ -273,6 +285,8 @@ def _plain_species(demos: Demonstrations) -> Species:
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
         free=is_free(demos.roles),
+        focus=demos.focus_rule,
+        neighbours=seen if (seen := _recipe(demos).get("neighbours")) is not None else 4,
         senses_compass=not is_free(demos.roles),
         **common,
     )
@@ -299,10 +313,15 @@ def _check_roles(demos: Demonstrations, species: Species) -> None:
         )
 
 
-def _cutting(demos: Demonstrations) -> dict[str, Any]:
-    """How the import cut the episodes, as the provenance has it."""
+def _recipe(demos: Demonstrations) -> dict[str, Any]:
+    """How the import was asked for, as the provenance has it."""
     recipe = demos.provenance.get("recipe")
-    cutting = recipe.get("cutting") if isinstance(recipe, dict) else None
+    return recipe if isinstance(recipe, dict) else {}
+
+
+def _cutting(demos: Demonstrations) -> dict[str, Any]:
+    """How the import cut the episodes."""
+    cutting = _recipe(demos).get("cutting")
     return cutting if isinstance(cutting, dict) else {}
 
 

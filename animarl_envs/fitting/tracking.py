@@ -23,9 +23,11 @@ from animarl_envs.focus import (
     COURSE,
     FALLBACK,
     UPWIND,
+    aim,
     averaged,
     foci,
     focus_directions,
+    focus_rule,
     is_free,
     share_of,
 )
@@ -108,7 +110,7 @@ def track(
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
             float(horizon), position_now, velocity_now, paths, speeds, forced, actions, course,
-            share_of(COURSE, demos.dt),
+            share_of(COURSE, demos.dt), focus_rule(demos.focus_rule),
         )  # fmt: skip
         if arena.rebound:
             rebound(field, position_now, velocity_now)
@@ -130,7 +132,9 @@ def one_step_misses(
     recorded, recorded_velocity = demos.positions, demos.velocities()
     positions = recorded if tracking is None else tracking.positions
     velocities = recorded_velocity if tracking is None else tracking.velocities
-    focus = focus_directions(positions, demos.roles, velocities, demos.steps(), dt)
+    focus = focus_directions(
+        positions, demos.roles, velocities, demos.steps(), dt, demos.focus_rule
+    )
     misses = np.zeros((*positions.shape[:2], locomotion[0].num_actions))
     for i, own in enumerate(locomotion):
         for action in range(own.num_actions):
@@ -194,6 +198,7 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
     horizon, position, velocity, paths, speeds, forced, actions, course, share,
+    rule,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
@@ -218,10 +223,9 @@ def _follow(  # type: ignore[no-untyped-def]
             if len(course):
                 for x in range(2):
                     course[i, x, b] = averaged(course[i, x, b], velocity[i, x, b], share, t)
-                length = np.hypot(course[i, 0, b], course[i, 1, b])
-                if length > 0.0:
-                    towards[i, 0] = course[i, 0, b] / length
-                    towards[i, 1] = course[i, 1, b] / length
+                towards[i, 0], towards[i, 1] = aim(
+                    i, b, rule, position, course[i, 0, b], course[i, 1, b]
+                )
                 continue
             for j in range(K):
                 dx = position[j, 0, b] - position[i, 0, b]

@@ -32,7 +32,7 @@ from animarl_envs.importing.sessions import (
     assign_roles,
     load_sessions,
 )
-from animarl_envs.importing.tracks import Tracks, each_alone
+from animarl_envs.importing.tracks import Tracks, each_alone, in_groups
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
@@ -58,6 +58,7 @@ def demonstrations_from_tracks(
     named = [sessions.apply(apply_names(tracks, recipe)) for tracks in recordings]
     if recipe.target is None and recipe.individuals is None and not recipe.searcher:
         named = [alone for tracks in named for alone in each_alone(tracks)]
+    most = max(len(tracks.individuals) for tracks in named)
     cleaned, done = [], {}
     for tracks in named:
         tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
@@ -67,7 +68,17 @@ def demonstrations_from_tracks(
         cleaned.append(tracks)
     cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
+    if focus is None and not recipe.searcher and recipe.cutting.mode == "whole":
+        pieces = in_groups(cleaned, recipe.cutting.piece, FEWEST_PIECES)
+        scales = [scale for scale, some in zip(scales, pieces, strict=True) for _ in some]
+        cleaned = [one for some in pieces for one in some]
     individuals, roles, order = assign_roles(cleaned, focus, recipe, name)
+    others = "all others, as one is pursued" if focus else f"{len(individuals) - 1} others at most"
+    require(
+        recipe.neighbours is None or (focus is None and recipe.neighbours < len(individuals)),
+        f"{name}: neighbours is {recipe.neighbours} but each sees {others}: leave it out, or give "
+        "fewer",
+    )
     bodies = [s.to_arena(one.bodies)[:, order] for s, one in zip(scales, cleaned, strict=True)]
     cleaned = [s.turn_headings(one) for s, one in zip(scales, cleaned, strict=True)]
     cutting = recipe.cutting
@@ -82,8 +93,9 @@ def demonstrations_from_tracks(
             cuts = [replace(cuts[0], outcome=tracks.outcome)]
         made = [_episode(tracks, body, cut, order, recipe) for cut in cuts]
         long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
-        done[tracks.recording]["episodes"] = len(long_enough)
-        done[tracks.recording]["too_short"] = len(made) - len(long_enough)
+        told, short = done[tracks.recording], len(made) - len(long_enough)
+        told["episodes"] = told.get("episodes", 0) + len(long_enough)
+        told["too_short"] = told.get("too_short", 0) + short
         episodes += long_enough
     if not episodes:
         raise InputError(f"{name}: {_why_none(cleaned)}")
@@ -128,6 +140,7 @@ def demonstrations_from_tracks(
             },
             "cleaning": done,
             "ends": _ends(cutting, cleaned, joined("outcome")),
+            **({} if most == len(individuals) else {"animals_tracked": most}),
             **({} if contact == recipe.cutting.contact else {"contact_radius": contact}),
             **sessions.told(),
         },

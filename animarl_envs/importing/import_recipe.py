@@ -39,6 +39,10 @@ class ImportRecipe:
     )
     pursuer: str | None = option(None, "pursuer", "The only pursuer; all others are its targets.")
     searcher: bool = option(False, "", "Whether they search a source at the origin, not a target.")
+    neighbours: int | None = option(
+        None, "neighbours", "Of a group without a target: how many of the others each one sees, "
+        "the nearest; default: 4.", "zero or positive",
+    )  # fmt: skip
     frame_rate: float | None = option(
         None, "fps", "Frame rate of the recording.", "a positive number", "Hz"
     )

@@ -320,6 +320,11 @@ def assign_roles(
         role = "searcher" if recipe.searcher else "pursuer"
         return names, (role,) * len(names), order
     require(
+        len(names) > 1,
+        f"{name}: {names[0]} is recorded alone, so nobody pursues it: leave --target out, or say "
+        "--target none",
+    )
+    require(
         focus.name in names,
         f"{name}: there is no {focus.role} {focus.name!r}: choose among {', '.join(names)}",
     )

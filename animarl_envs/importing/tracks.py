@@ -18,6 +18,7 @@ from animarl_envs.errors import InputError, require
 
 CENTROID = "centroid"
 TOGETHER = 0.1  # share of frames with everybody, below which nobody needs them all at once
+PRESENT = 0.5  # share of a group that is there on average, or of frames with everybody
 LONE = "individual_0"  # of a recording of one animal without a name
 APART = 0.25  # of a frame that files of one recording may be apart
 LARGEST = 1e9  # no tracker writes larger coordinates
@@ -150,10 +151,13 @@ class Tracks:
 def each_alone(tracks: Tracks) -> list[Tracks]:
     """A recording of each animal, from its first to its last frame, where they come and go.
 
-    The recording stays whole if all of its animals are there in a tenth of its frames or more.
+    The recording stays whole if all of its animals are there in a tenth of its frames or more, or
+    if half of a group is there on average (:func:`in_groups`).
     """
     seen = np.asarray(np.isfinite(tracks.positions).any(axis=(2, 3)))
     if not seen.any(axis=0).all() or seen.all(axis=1).mean() >= TOGETHER:
+        return [tracks]
+    if len(tracks.individuals) > 2 and seen.mean() >= PRESENT:
         return [tracks]
     found = []
     for who, name in enumerate(tracks.individuals):
@@ -171,6 +175,67 @@ def each_alone(tracks: Tracks) -> list[Tracks]:
                 )
             )
     return found
+
+
+def in_groups(recordings: Sequence[Tracks], piece: float | None, parts: int) -> list[list[Tracks]]:
+    """Pieces of each recording with equally many animals, which are there throughout.
+
+    Recordings of groups stay whole if they have the same animals, and these are all there in half
+    of the frames. Otherwise they are cut into pieces of ``piece`` seconds, by default ``parts`` in
+    all, and of each piece those animals are kept who are there from its first to its last frame: as
+    many in each as keeps most of the tracks, the nearest to their common centre. Of the others
+    nothing is seen.
+    """
+    seen: list[NDArray[np.bool_]] = [
+        np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in recordings
+    ]
+    alike = len({tracks.individuals for tracks in recordings}) == 1
+    if min(len(tracks.individuals) for tracks in recordings) < 3 or (
+        alike and np.concatenate(seen).all(axis=1).mean() >= PRESENT
+    ):
+        return [[tracks] for tracks in recordings]
+    lengths = [
+        max(2, round(piece * (tracks.frame_rate or 1.0)) if piece is not None
+            else sum(map(len, seen)) // parts)
+        for tracks in recordings
+    ]  # fmt: skip
+    found = [
+        [(slice(first, first + length), np.asarray(own[first : first + length].all(axis=0)))
+         for first in range(0, len(own) - length + 1, length)]
+        for own, length in zip(seen, lengths, strict=True)
+    ]  # fmt: skip
+    counts = np.array([there.sum() for pieces in found for _, there in pieces])
+    least = np.unique(counts[counts > 2])
+    if not len(least):
+        raise InputError(
+            f"{recordings[0].recording}: no three animals are there throughout a piece of "
+            f"{lengths[0]} frames: fill gaps by --max-gap, or choose a shorter --piece"
+        )
+    number = int(max(least, key=lambda k: k * (counts >= k).sum()))
+    names = tuple(f"animal_{k}" for k in range(number))
+    return [
+        [_group_of(tracks, when, there, names)
+         for when, there in pieces if there.sum() >= number]
+        for tracks, pieces in zip(recordings, found, strict=True)
+    ]  # fmt: skip
+
+
+def _group_of(
+    tracks: Tracks, when: slice, there: NDArray[np.bool_], names: tuple[str, ...]
+) -> Tracks:
+    """A piece of a recording of those who are ``there`` and nearest to their centre."""
+    who = np.flatnonzero(there)
+    mean = tracks.bodies[when][:, who].mean(axis=0)
+    inner = np.argsort(np.linalg.norm(mean - mean.mean(axis=0), axis=1), kind="stable")
+    own = tracks.choose([tracks.individuals[i] for i in np.sort(who[inner[: len(names)]])])
+    return replace(
+        own,
+        individuals=names,
+        positions=own.positions[when],
+        confidence=None if own.confidence is None else own.confidence[when],
+        signals={key: value[when] for key, value in own.signals.items()},
+        start=tracks.start + when.start / (tracks.frame_rate or 1.0),
+    )
 
 
 def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:

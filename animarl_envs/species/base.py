@@ -15,6 +15,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.species.traits import Traits
 
 COMPACT = "compact"
 OBSERVATIONS = (COMPACT, "full", "paper")
@@ -72,6 +73,7 @@ class Species(ABC):
     boundary_penalty: float = field(default=-10.0, metadata={"least": (-1e300, "a number")})
     observation: str = "full"  # one of OBSERVATIONS; what is made by a name is "compact"
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
+    traits: Traits | None = None  # in which individuals differ; None: they are all alike
     mirror_symmetric: bool = True  # left and right are alike to it
     planned_flip: tuple[int, int] | None = None  # conditions (world, cue) that the paper compares
     recording: Recording
@@ -128,6 +130,8 @@ class Species(ABC):
                 f"sense_scales is {scales!r}: give SenseScales of {len(self.individuals)} "
                 "individuals, or None"
             )
+        if not isinstance(self.traits, Traits | None):
+            raise InputError(f"traits is {self.traits!r}: give Traits or None")
         object.__setattr__(self, "bodies", checked_bodies(self.bodies))
         flip = self.planned_flip
         if flip is not None and (not self.conditions or tuple(flip) not in ((0, 1), (1, 0))):

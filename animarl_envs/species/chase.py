@@ -9,6 +9,7 @@ import numpy as np
 
 from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError
+from animarl_envs.focus import focus_rule
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, turnings_of
 
@@ -36,6 +37,7 @@ class ChaseSpecies(Species):
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
     free: bool = False  # nobody is pursued: each goes its own way, and contact ends nothing
     neighbours: int = 4  # how many of the others a free animal sees, the nearest
+    focus: str = "course"  # what a free animal's x axis points at: see focus.focus_rule
     shoaling_reward: bool = (
         False  # pays a free animal for time within the contact radius of another
     )
@@ -46,6 +48,9 @@ class ChaseSpecies(Species):
             raise InputError("a chase needs at least one pursuer and a target: name them both")
         if not is_whole(self.neighbours) or self.neighbours < 0:
             raise InputError(f"neighbours is {self.neighbours!r}: give a whole number, 0 or more")
+        focus_rule(self.focus)
+        if self.focus != "course" and not self.free:
+            raise InputError(f"focus is {self.focus!r} but {self.goal} is pursued: leave it out")
         if self.free and self.lone_pursuer:
             raise InputError("free animals have no pursuer: leave lone_pursuer out")
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
@@ -69,6 +74,11 @@ class ChaseSpecies(Species):
         """How many of the others each individual sees."""
         others = self.num_individuals - 1
         return min(self.neighbours, others) if self.free else others
+
+    @property
+    def is_group(self) -> bool:
+        """Whether these are three or more animals that are alike."""
+        return self.free and self.num_individuals > 2
 
     @property
     def senses_steps(self) -> bool:

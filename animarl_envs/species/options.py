@@ -49,6 +49,13 @@ def with_options(species: Species, **options: Any) -> Species:
         species = _with_individuals(species, tuple(options.pop("individuals")), counts)
     else:
         species = _with_counts(species, counts)
+    seen: Any = options.get("neighbours")
+    animals = species.num_individuals
+    fewer = is_whole(seen) and seen >= animals and seen != getattr(species, "neighbours", seen)
+    if getattr(species, "free", False) and fewer:
+        raise InputError(
+            f"neighbours is {seen} but there are {animals} animals: give {animals - 1} or fewer"
+        )
     if isinstance(species, ChaseSpecies) and is_number(options.get("arena")):
         scaled = species.start_half_side * float(options["arena"]) / species.arena.size
         options.setdefault("start_half_side", scaled)

@@ -11,7 +11,6 @@ import numpy as np
 from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species, or_zero
-from animarl_envs.species.traits import Traits
 from animarl_envs.species.turning import Turning, as_turning
 
 
@@ -39,7 +38,6 @@ class SearchSpecies(Species):
     flow_threshold: float = or_zero(0.1)  # yaw rates below it give no visual flow [rad/s]
     flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
     turning: Turning | None = None  # of the body; None: it points where it walks
-    traits: Traits | None = None  # in which searchers differ; None: they are all alike
     rest_speed: float = or_zero(1e-4)  # slower bodies keep their heading [arena unit / s]
     plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
     train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
@@ -59,8 +57,6 @@ class SearchSpecies(Species):
                 f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
             )
         object.__setattr__(self, "turning", as_turning(self.turning, "turning"))
-        if not isinstance(self.traits, Traits | None):
-            raise InputError(f"traits is {self.traits!r}: give Traits or None")
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)
             listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)

@@ -34,6 +34,7 @@ class Bodies(NamedTuple):
     recorded: NDArray[np.float64]  # (frames, K) [rad], or no frames
     turns: NDArray[np.bool_]  # (n,), by the numbers below; otherwise it points where it walks
     numbers: NDArray[np.float64]  # (5, n): persistence, gain, cosine and sine of the slip, speed
+    traits: NDArray[np.float64]  # (2, K, B), of the individuals [sd]
 
 
 def bodies_of(
@@ -50,7 +51,7 @@ def bodies_of(
     return Bodies(
         np.zeros((n, num_copies)), np.zeros((n, num_copies)), np.zeros((n, 2, num_copies)),
         np.zeros((0, K)) if recorded is None else np.ascontiguousarray(recorded),
-        turns, numbers,
+        turns, numbers, np.zeros((2, K, num_copies)),
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.headings import turn_bodies
 from animarl_envs.worlds.chase.senses import observe, remember
 from animarl_envs.worlds.rules import decide
-from animarl_envs.worlds.streams import next_uniform
+from animarl_envs.worlds.streams import next_below, next_uniform
 
 SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
@@ -53,6 +53,13 @@ def start(mask, state):  # type: ignore[no-untyped-def]
                     position[i, x, b] = demos.position[frame, i, x]
                 elif len(fixed):
                     position[i, x, b] = fixed[i, x]
+        for i in range(K if len(state.traits) else 0):  # those of some training animal, or its own
+            drawn = next_below(random, b, len(state.traits))
+            own = demo[b] >= 0 and state.drivers[i] == REPLAY
+            for x in range(2):
+                of_another = state.traits[drawn, i % state.traits.shape[1], x]
+                trait = state.own_traits[demo[b], i, x] if own else of_another
+                state.bodies.traits[x, i, b] = trait
         touching, draws = demo[b] < 0 and len(fixed) == 0, 0
         while touching:
             for i in range(K):
@@ -83,13 +90,14 @@ ChaseState = namedtuple(
     "ChaseState",
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
     "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty field "
-    "walled lone free shoaling position velocity acceleration past towards bodies neighbours "
-    "nearest code components reward observation senses",
+    "walled lone free shoaling position velocity acceleration past towards bodies traits "
+    "own_traits neighbours nearest code components reward observation senses",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
 are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
 ``driven``: somebody ignores the caller; ``sharing`` is the condition where condition 1 shares the
-reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and left.
+reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and left;
+``traits`` are those of training animals, ``own_traits`` those of the recorded episodes.
 """
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from animarl_envs.focus import COURSE, share_of
 from animarl_envs.locomotion import residual
 from animarl_envs.species import COMPACT, ChaseSpecies
+from animarl_envs.species.traits import LARGEST, TRAITS
 from animarl_envs.worlds.base import ObservationComponent
 
 ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
@@ -141,6 +142,7 @@ class Seen(IntEnum):
     _F1, _C1, _L1, _T1, _S1 = _MEMORY[RECALLED : 2 * RECALLED]
     _F2, _C2, _L2, _T2, _S2 = _MEMORY[2 * RECALLED : 3 * RECALLED]
     _F3, _C3, _L3, _T3, _S3 = _MEMORY[3 * RECALLED :]
+    OWN_TRAITS = Group(TRAITS, "individual", "sd", "trait", sense="traits")
     HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
     COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
     PUSH = Group(_directions("own acceleration"), EGO, "1", "unit", sense="senses_course")
@@ -274,7 +276,7 @@ def ranges(
         "place": reach, "speed": top, "own speed": top * max(1.0, *scales.own_velocity),
         "fine": math.tanh(relative), "coarse": math.tanh(relative / 3.0), "acceleration": push,
         "unit": 1.0, "offset": 2.0 * radius, "difference": 2.0 * top, "angle": math.pi,
-        "centre": radius, "turn": math.pi / species.dt,
+        "centre": radius, "turn": math.pi / species.dt, "trait": LARGEST,
     }  # fmt: skip
     return {name: (-most, most) for name, most in around.items()} | {
         "log speed": (math.log(REST), math.log(relative + REST)),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
-from animarl_envs.focus import COURSE, FALLBACK, averaged
+from animarl_envs.focus import COURSE, FALLBACK, FocusRule, aim, averaged, focus_rule
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (
@@ -67,6 +67,7 @@ class Senses(NamedTuple):
     free: bool  # each has its course for its focus, and sees its nearest few
     shares: NDArray[np.float64]  # of a step in each average of the past
     dt: float  # [s]
+    rule: FocusRule  # of free animals
 
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
@@ -87,6 +88,7 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         species.free,
         past_shares(species),
         species.dt,
+        focus_rule(species.focus),
     )
 
 
@@ -114,7 +116,7 @@ def observe(  # type: ignore[no-untyped-def]
     lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
         if free:
-            _go_on(i, velocity, past, steps, senses.shares, towards)
+            _go_on(i, position, velocity, past, steps, senses, towards)
         if not observers[i]:
             if not free:
                 find_focus(i, position, others)
@@ -127,7 +129,7 @@ def observe(  # type: ignore[no-untyped-def]
             _face(i, others, towards)
         observe_own(
             i, position, velocity, acceleration, past, steps, towards, first, stride[i],
-            own_velocity[i], senses.limit, observation,
+            own_velocity[i], senses.limit, bodies, observation,
         )  # fmt: skip
         faced = 0 if free else 1  # how many of the others lie straight ahead by definition
         _observe_others(
@@ -152,15 +154,14 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
 
 
 @part
-def _go_on(i, velocity, past, steps, shares, towards):  # type: ignore[no-untyped-def]
-    """The unit vector along the course: the mean velocity, the present one included."""
+def _go_on(i, position, velocity, past, steps, senses, towards):  # type: ignore[no-untyped-def]
+    """Turn to the focus of a free animal: the mean velocity has the present one included."""
+    share = senses.shares[ON_COURSE]
     for b in range(velocity.shape[2]):
         mx, my = past[ON_COURSE, i, 0, b], past[ON_COURSE, i, 1, b]
-        dx = averaged(mx, velocity[i, 0, b], shares[ON_COURSE], steps[b])
-        dy = averaged(my, velocity[i, 1, b], shares[ON_COURSE], steps[b])
-        length = math.sqrt(dx * dx + dy * dy)
-        towards[i, 0, b] = dx / length if length > 0.0 else FALLBACK[0]
-        towards[i, 1, b] = dy / length if length > 0.0 else FALLBACK[1]
+        dx = averaged(mx, velocity[i, 0, b], share, steps[b])
+        dy = averaged(my, velocity[i, 1, b], share, steps[b])
+        towards[i, 0, b], towards[i, 1, b] = aim(i, b, senses.rule, position, dx, dy)
 
 
 @part
@@ -270,7 +271,7 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
 @part
 def observe_own(  # type: ignore[no-untyped-def]
     i, position, velocity, acceleration, past, steps, towards, first, stride, factor, limit,
-    observation,
+    bodies, observation,
 ):  # fmt: skip
     """Own position, velocity on several scales, acceleration, and what a species senses beside.
 
@@ -301,6 +302,11 @@ def observe_own(  # type: ignore[no-untyped-def]
         for b in range(B):
             observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
     _recall(i, past, towards, first, stride, observation)
+    at = first[0, Seen.OWN_TRAITS]
+    if at != ABSENT:
+        for x in range(2):
+            for b in range(B):
+                observation[i, at + x, b] = bodies.traits[x, i, b]
 
 
 @part

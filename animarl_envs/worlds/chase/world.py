@@ -23,6 +23,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.locomotion import residual
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
+from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
@@ -56,6 +57,9 @@ class ChaseWorld(World):
     heading, turn
         ``(B, K)``, where bodies point and how far the last step turned them, counter-clockwise in
         the arena frame [rad]; ``(B, 0)`` where the species has no headings.
+    traits
+        ``(B, K, 2)``, how individuals differ from the mean one, see
+        :mod:`animarl_envs.species.traits` [sd].
     """
 
     reward_components = ("touch", "elapsed", "boundary")
@@ -82,8 +86,11 @@ class ChaseWorld(World):
         recorded = None if scenario.demos is None else scenario.demos.headings()
         self._bodies = bodies_of(species, B, recorded)
         self.heading, self.turn = self._bodies.heading.T, self._bodies.turn.T
+        self.traits = self._bodies.traits.transpose(2, 1, 0)
         if species.has_headings:  # not in what was saved of a world without
-            self._state_names = (*ChaseWorld._state_names, "heading", "turn")
+            self._state_names = (*self._state_names, "heading", "turn")
+        if species.traits is not None:
+            self._state_names = (*self._state_names, "traits")
         arena, start = species.arena, scenario.start
         self._reference = by_reference(
             kernels.refer,
@@ -114,6 +121,8 @@ class ChaseWorld(World):
                 past=self._past,
                 towards=self._towards,
                 bodies=self._bodies,
+                traits=np.zeros((0, 1, 2)) if species.traits is None else species.traits.table,
+                own_traits=recorded_traits(species, scenario.demos),
                 neighbours=self._neighbours,
                 nearest=np.zeros(B),
                 code=np.zeros(B, dtype=np.int64),
@@ -162,13 +171,15 @@ def observe(
     acceleration: NDArray[np.float64] | None = None,
     steps: NDArray[np.int64] | None = None,
     heading: NDArray[np.float64] | None = None,
+    traits: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of given states.
 
     The same kernel as in simulation, for recorded states ``(frames, K, 2)``; ``acceleration`` in
     multiples of the thrust, by default none, ``steps`` ``(frames,)`` since the start, by default 0
     of all, so that each is a start. ``heading`` ``(frames, K)`` are recorded ones [rad], by default
-    none; a species without headings does not look at them.
+    none; a species without headings does not look at them. ``traits`` ``(frames, K, 2)`` are by
+    default those of the mean individual [sd].
     """
     frames, K, _ = position.shape
     acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
@@ -177,6 +188,8 @@ def observe(
     towards = np.zeros((K, 2, frames))
     towards[:, 0] = 1.0
     bodies = recorded_bodies(species, position, velocity, steps, heading)
+    if traits is not None:
+        bodies.traits[:] = traits.transpose(2, 1, 0)
     position, velocity, acceleration = (
         np.ascontiguousarray(each.transpose(1, 2, 0), dtype=np.float64)
         for each in (position, velocity, acceleration)
@@ -201,7 +214,19 @@ def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> 
         added = residual(velocity[1:, i], velocity[:-1, i], own.damping)
         pushes[1:, i] = added / (own.thrust * scales.dt)
     pushes[demos.offsets[:-1]] = 0.0
-    return observe(species, demos.positions, velocity, pushes, demos.steps(), demos.headings())[0]
+    traits = np.repeat(recorded_traits(species, demos), demos.lengths, axis=0)
+    return observe(
+        species, demos.positions, velocity, pushes, demos.steps(), demos.headings(), traits
+    )[0]
+
+
+def recorded_traits(species: ChaseSpecies, demos: Demonstrations | None) -> NDArray[np.float64]:
+    """Traits of the individuals of recorded episodes, ``(episodes, K, 2)`` [sd]."""
+    if demos is None or species.traits is None:
+        count = 0 if demos is None else len(demos)
+        return np.zeros((count, species.num_individuals, 2))
+    own = episode_traits(demos.positions, demos.lengths, demos.dt)
+    return species.traits.scores(own, demos.condition)
 
 
 def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float64]:

@@ -10,6 +10,8 @@ import torch
 from numpy.typing import NDArray
 from refusals import refuses
 
+from animarl_algos import DQN
+from animarl_algos.data import species_data
 from animarl_algos.data.dataset import OfflineDataset, mirror_columns
 from animarl_algos.data.species_data import SpeciesDemonstrations, soft_labels
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -19,6 +21,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
+from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import one_step_misses, track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import focus_directions
@@ -479,3 +482,21 @@ def test_statistics_are_of_steps_that_enter_a_loss_mirrored_ones_too() -> None:
     mean, _ = OfflineDataset(**data, mirror=MIRROR).input_statistics()
     np.testing.assert_allclose(mean[:, 3], 0.0, atol=1e-6)
     np.testing.assert_allclose(mean[:, 1], mean[:, 2], atol=1e-6)
+
+
+def test_memory_is_said_before_it_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand animals do not fit a small machine."""
+    monkeypatch.setattr(species_data, "available_memory", lambda: 1e6)
+    env = SlotVecEnv("shoal", 1)
+    with pytest.raises(InputError, match=r"12 animals with 37 actions take about .* GB of memory"):
+        _ = env.offline_data().train
+    monkeypatch.undo()
+    assert species_data.available_memory() > 1e8
+
+
+@pytest.mark.parametrize(("species", "shared"), [("shoal", True), ("agent", False)])
+def test_animals_that_are_alike_share_a_network_without_recordings(
+    species: str, shared: bool
+) -> None:
+    env = SlotVecEnv(species, 1, demos=None)
+    assert DQN("MlpPolicy", env, seed=0).policy.q_net.shared is shared

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from animarl_algos.evaluation.collect import Blindfolded, MemorylessPolicy
 from animarl_algos.evaluation.metrics import METRICS, compared_metrics, judged_metrics
 from animarl_algos.evaluation.order_in_time import INTERACTIVE, nearest_other, order_measures
 from animarl_algos.evaluation.prepared import Prepared
@@ -17,6 +18,8 @@ from animarl_algos.evaluation.windows import window_features
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import make_world
 from tools.packaged_data import larva, shoal
 
 ANIMALS, GROUPS, STEPS = 6, 12, 80
@@ -140,7 +143,9 @@ def test_a_shoal_is_judged_as_a_group(group: Demonstrations) -> None:
     same = [path for seed in (11, 12) for path in _from_starts(group, seed, LAW)]
     blind = replace(LAW, repulsion=0.0, orientation=0.0, attraction=0.0)
     alone = [path for seed in (11, 12) for path in _from_starts(group, seed, blind)]
-    true, wrong = judge(group, same, 2), judge(group, alone, 2)
+    control = {"blind": rollouts_of(group, alone, 2)}
+    true = verdict(group, rollouts_of(group, same, 2), seed=0, baselines=control)
+    wrong = judge(group, alone, 2)
     rows = set(true.table["measure"])
     assert rows > GROUP_ROWS
     assert not rows & {"reached", "target_out", "pursuer_out", "outcomes", "duration", "rests"}
@@ -149,6 +154,8 @@ def test_a_shoal_is_judged_as_a_group(group: Demonstrations) -> None:
     extent = true.row("extent")
     assert abs(extent["simulated"] - extent["recorded"]) < 0.1 * extent["recorded"]
     assert extent["strangers"] > 1.5 * extent["recorded"]
+    assert extent["blind"] == wrong.row("extent")["simulated"] > 1.2 * extent["recorded"]
+    assert "blind" not in wrong.table
     assert wrong.row("extent")["judgement"] == "differs"
     assert {"spread too wide", "align too little"} & set(wrong.words)
     realism = Likelihood.of(Prepared(group))
@@ -205,3 +212,28 @@ def test_the_laws_of_the_programs_are_recovered() -> None:
     tracks = larva.simulate(law, 150, 201, 0.2, rng)
     rate = larva.recovered_turn_rate(law, list(tracks), 0.2)
     assert rate == pytest.approx(law.turn_rate, rel=0.1)
+
+
+def test_the_blind_control_sees_the_neighbours_of_another() -> None:
+    """What it is shown of the others is another animal's; what it knows of itself stays."""
+    world = make_world(make_scenario("shoal"), 3)
+    world.seed([0, 1, 2])
+    world.reset(demo=np.arange(3))
+    names = [one.name for one in world.observation_components]
+    seen = world.observation.reshape(36, -1)
+    shown: list[np.ndarray] = []
+
+    class Watching(MemorylessPolicy):
+        def act(self, observation: np.ndarray) -> np.ndarray:
+            shown.append(observation)
+            return np.zeros(len(observation), dtype=np.int64)
+
+    Blindfolded(Watching(), names).predict(seen)
+    others = np.array([name.startswith("other ") for name in names])
+    np.testing.assert_array_equal(shown[0][:, ~others], seen[:, ~others])
+    of = [
+        np.flatnonzero((seen[:, others] == row).all(axis=1)).item() for row in shown[0][:, others]
+    ]
+    assert sorted(of) == list(range(36))
+    apart = np.array(of) // 12 != np.arange(36) // 12
+    assert apart.all() and (np.array(of) % 12 != np.arange(36) % 12).all()

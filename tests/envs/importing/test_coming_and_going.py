@@ -2,12 +2,17 @@
 
 import gzip
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read_tracks
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.species import ChaseSpecies
+from animarl_envs.species.options import with_options
 
 HZ = 12.5
 
@@ -52,6 +57,74 @@ def test_animals_that_are_seen_together_stay_one_recording(tmp_path: Path) -> No
     path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
     demos = follow(default_recipe(get_reader("long-table"), frame_rate=10.0), [path])
     assert demos.num_individuals == 3
+
+
+def school(folder: Path, name: str, count: int, gap: int, frames: int = 120) -> Path:
+    """Write a group in which animals are missing for ``gap`` frames, one after the other."""
+    rows = [
+        f"{name}_{who},{f},{who % 5 + f / 100},{who // 5 + f % 7 / 50}"
+        for f in range(frames)
+        for who in range(count)
+        if not (gap and 7 * who <= f < 7 * who + gap)
+    ]
+    path = folder / f"{name}.csv"
+    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
+    return path
+
+
+def test_of_a_group_that_comes_and_goes_pieces_have_those_who_stay(tmp_path: Path) -> None:
+    """Somebody is always missing: each piece holds as many as were there throughout."""
+    recipe = default_recipe(get_reader("long-table"), frame_rate=10.0)
+    demos = follow(recipe, [school(tmp_path, "pond", 16, 7)])
+    assert demos.individuals == tuple(f"animal_{k}" for k in range(demos.num_individuals))
+    assert 12 <= demos.num_individuals < 16 and demos.is_group
+    assert len(demos) >= 8 and set(demos.recording.tolist()) == {"pond"}
+    assert np.isfinite(demos.positions).all() and (demos.lengths == 11).all()
+    # Those who are there move as they were recorded: .1 to the right each second.
+    step = np.diff(demos.path(0)[..., 0], axis=0)
+    assert np.ptp(step) < 1e-9
+
+
+def test_the_number_of_animals_may_differ_between_recordings(tmp_path: Path) -> None:
+    files = [school(tmp_path, "pond", 9, 0), school(tmp_path, "lake", 6, 0)]
+    demos = follow(default_recipe(get_reader("long-table"), frame_rate=10.0), files)
+    assert demos.num_individuals == 6
+    assert set(demos.recording.tolist()) == {"pond", "lake"}
+
+
+def test_a_group_that_is_never_there_for_long_is_refused(tmp_path: Path) -> None:
+    rows = [f"{w},{f},{w},{f % 3}" for f in range(60) for w in range(4) if (f + w) % 4]
+    path = tmp_path / "blinking.csv"
+    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
+    recipe = default_recipe(get_reader("long-table"), frame_rate=10.0)
+    with pytest.raises(InputError, match="no three animals are there throughout"):
+        follow(recipe, [path])
+
+
+@pytest.mark.parametrize(
+    ("count", "given", "said"),
+    [
+        (4, {"target": "pike"}, "there is no target 'pike': choose among pond_0"),
+        (4, {"neighbours": 4}, "neighbours is 4 but each sees 3 others at most"),
+        (4, {"neighbours": 2, "target": "pond_0"}, "each sees all others, as one is pursued"),
+        (1, {"target": "pond_0"}, "pond_0 is recorded alone, so nobody pursues it"),
+    ],
+)
+def test_a_group_that_is_none_is_refused(
+    tmp_path: Path, count: int, given: dict[str, Any], said: str
+) -> None:
+    recipe = default_recipe(get_reader("long-table"), frame_rate=10.0, **given)
+    with pytest.raises(InputError, match=said):
+        follow(recipe, [school(tmp_path, "pond", count, 0)])
+
+
+def test_how_many_neighbours_are_seen_is_said_at_import(tmp_path: Path) -> None:
+    recipe = default_recipe(get_reader("long-table"), frame_rate=10.0, neighbours=2)
+    demos = follow(recipe, [school(tmp_path, "pond", 5, 0)])
+    species = species_of(demos, [Locomotion(0.5, 1.0)] * 5)
+    assert isinstance(species, ChaseSpecies) and species.num_seen == 2
+    with pytest.raises(InputError, match="neighbours is 5 but there are 5 animals"):
+        with_options(species, neighbours=5)
 
 
 @pytest.mark.parametrize(

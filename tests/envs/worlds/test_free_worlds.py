@@ -14,6 +14,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import joint_locomotion, track
+from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, make_world, observation_components
@@ -65,6 +66,45 @@ def test_world_labels_and_tracking_have_one_focus(animals: int) -> None:
     for before, one in enumerate(velocity[1:], start=1):  # the first few count alike
         mean = mean + (one - mean) * max(DT / COURSE, 1.0 / (1.0 + before))
     np.testing.assert_allclose(focus[first + 4, 0], mean / np.linalg.norm(mean))
+
+
+@pytest.mark.parametrize(
+    "rule", ["nearest", "centre 3", "direction 0 -2", "point 0.2 0.3"], ids=lambda rule: rule[:5]
+)
+def test_focus_rules_hold_in_world_labels_and_tracking(rule: str) -> None:
+    """Each rule has one meaning: that of a plain calculation."""
+    demos = group(6)
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    scenario = make_scenario("custom", demos=demos, split="train", drivers=drivers, focus=rule)
+    world = make_world(scenario)
+    world.seed([0])
+    world.reset()
+    assert scenario.demos is not None and scenario.demos.focus_rule == rule
+    focus, first = scenario.demos.focus(), int(scenario.demos.offsets[world.demo[0]])
+    for t in range(5):
+        place = world.position[0]
+        apart = np.linalg.norm(place[:, None] - place, axis=-1)
+        k = {"nearest": 1, "centre 3": 3}.get(rule, 0)
+        near = place[apart.argsort(axis=1)[:, 1 : 1 + k]].mean(axis=1) if k else place
+        aim = {"direction 0 -2": np.tile([0.0, -2.0], (6, 1)), "point 0.2 0.3": [0.2, 0.3] - place}
+        expected = aim.get(rule, near - place)
+        expected = expected / np.linalg.norm(expected, axis=-1, keepdims=True)
+        np.testing.assert_allclose(world.towards[0], expected, atol=1e-12)
+        np.testing.assert_allclose(focus[first + t], expected, atol=1e-12)
+        world.step(np.zeros((1, 6), dtype=np.int64))
+    # Tracking takes its first actions from the recorded state, as labels do.
+    followed = track(scenario.demos, scenario.species.locomotion)
+    misses = one_step_misses(scenario.demos, scenario.species.locomotion)
+    starts = scenario.demos.offsets[:-1]
+    np.testing.assert_array_equal(followed.actions[starts], misses[starts].argmin(axis=-1))
+
+
+@pytest.mark.parametrize("rule", ["prey", "centre", "centre 0", "direction 0 0", "point 1 x"])
+def test_focus_rules_that_are_none_are_refused(rule: str) -> None:
+    with pytest.raises(InputError, match="choose 'course', 'nearest', 'centre K'"):
+        make_scenario("shoal", focus=rule)
+    with pytest.raises(InputError, match="focus is 'nearest' but prey is pursued"):
+        make_scenario("agent", focus="nearest")
 
 
 def test_the_nearest_few_are_seen_in_order() -> None:
@@ -158,3 +198,43 @@ def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:
     for animals, asked in ((1, ["speed"]), (4, ["speed", "nearest neighbour"])):
         species = make_scenario("custom", demos=group(animals)).species
         assert [one.name for one in quantities_of(species, RECORDED_SCALE)] == asked
+
+
+def test_free_animals_differ_as_training_animals_do() -> None:
+    """Who was quick stays so: each simulated animal has the traits of some recorded one."""
+    own = np.linspace(0.5, 1.5, 12)
+    rng, steps = np.random.default_rng(0), 60
+    turns = rng.normal(0.0, 0.2, (12, steps)).cumsum(axis=1)
+    step = 0.01 * own[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    paths = np.concatenate([np.zeros((12, 1, 2)), step.cumsum(axis=1)], axis=1)
+    demos = replace(
+        group(1, 12, "open"),
+        positions=np.concatenate(list(paths))[:, None],
+        lengths=np.full(12, steps + 1),
+        initial_velocity=step[:, :1] / DT,
+        provenance={"source": "a test", "licence": "MIT", "synthetic": False},
+    )
+    species = make_scenario("custom", demos=demos, split=None).species
+    assert species.traits is not None and len(species.traits.table) == 10  # no test episodes
+    names = [one.name for one in observation_components(species)]
+    seen = demonstration_observations(species, demos)[demos.offsets[:-1], 0]
+    assert (np.diff(seen[:, names.index("own speed")]) >= 0).all()
+    world = make_world(make_scenario(species, demos=demos, split="test"), 200)
+    world.seed(np.arange(200))
+    world.reset()
+    speeds = world.observation[:, 0, names.index("own speed")]
+    assert len(np.unique(speeds)) > 5
+    table = species.traits.table[:, 0, 0].astype(np.float32)
+    assert set(speeds.tolist()) <= set(table.tolist())
+    world.step(np.zeros((200, 1), dtype=np.int64))
+    np.testing.assert_array_equal(world.observation[:, 0, names.index("own speed")], speeds)
+
+
+def test_animals_of_a_group_share_their_traits() -> None:
+    from animarl_envs.fitting.custom_species import fitted_traits
+
+    demos = group(4, episodes=12)
+    pace = np.array([0.4, 0.8, 1.2, 1.6])
+    walks = demos.positions[:1] + pace[:, None] * (demos.positions - demos.positions[:1])
+    traits = fitted_traits(replace(demos, positions=walks, arena=Arena("open", 1.0)))
+    assert traits is not None and traits.table.shape == (4 * 10, 1, 2)
