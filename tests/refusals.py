@@ -15,7 +15,7 @@ def refuses(message: str, call: Callable[..., object], /, *given: Any, **options
 
     ``message`` is searched for in it, as ``match`` of ``pytest.raises``.
     """
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message or None) as caught:
         call(*given, **options)
     assert "\n" not in str(caught.value)
     return str(caught.value)

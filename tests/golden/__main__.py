@@ -5,8 +5,6 @@ python tests/golden worlds "agent single"   # one part, entries whose name begin
 python tests/golden --write                 # store: say in the commit why numbers changed
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path

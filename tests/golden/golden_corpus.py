@@ -6,8 +6,6 @@ of NumPy, Numba or torch) rounds otherwise; there only the rounded numbers of th
 compared, and of the run folders which tables and columns there are.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tempfile

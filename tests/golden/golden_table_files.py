@@ -6,8 +6,6 @@ path, and what the reader is told. Results of them are in
 ``tables.json``; see ``golden_tables``.
 """
 
-from __future__ import annotations
-
 import datetime
 import zipfile
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ Of each file stands what its tracks are called, their rate, unit and start, and 
 numbers, or the sentence by which it is refused. A commit that changes the JSON says why.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """What the packages compute is what it was: steps, updates, run folders, against stored hashes."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Foreign files are read, or refused, as ``tables.json`` says: no number changes unnoticed."""
 
-from __future__ import annotations
-
 import json
 
 from golden_tables import RESULTS, results

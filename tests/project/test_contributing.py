@@ -1,7 +1,5 @@
 """The page for contributors: its five examples run as they stand, and name files that are there."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The documentation site builds offline without a warning, tutorials and live pages included."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

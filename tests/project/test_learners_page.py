@@ -1,7 +1,5 @@
 """docs/learners.md: its programs run one after the other, its YAML and its commands are valid."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex

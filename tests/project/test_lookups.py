@@ -1,7 +1,5 @@
 """Look-ups of docs/contributing.md name what is there; docs/architecture.md has a short path."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

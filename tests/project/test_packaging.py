@@ -1,7 +1,5 @@
 """What is asked of an installation, and that a built wheel holds all that the project needs."""
 
-from __future__ import annotations
-
 import configparser
 import os
 import re

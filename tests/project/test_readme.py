@@ -1,7 +1,5 @@
 """README.md: short, its programs run, its commands parse, and its picture is small."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

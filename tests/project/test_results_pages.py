@@ -1,7 +1,5 @@
 """Tables of the results pages agree with the CSV beside them, and links between pages lead on."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from pathlib import Path

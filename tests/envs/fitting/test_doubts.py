@@ -1,7 +1,5 @@
 """What is doubtful of a fit, and what of a run: said where it holds, silent where it does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

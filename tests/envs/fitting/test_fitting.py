@@ -1,17 +1,15 @@
 """Locomotion fits: known parameters come back, the paper's rule gives the published numbers."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refuses
 from thrust_walks import DT, ROLES, walk
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.errors import InputError
 from animarl_envs.fitting import (
     LocomotionFit,
     demonstrated_actions,
@@ -140,8 +138,7 @@ def test_onset_fit_without_an_onset_says_so() -> None:
     demos, _ = simulate(10, episodes=5)
     for threshold, mend in ((1e-6, "raise"), (1e6, "lower")):
         words = rf"never crosses .*: {mend} onset_threshold or use method 'joint'"
-        with pytest.raises(InputError, match=words):
-            fit_locomotion(demos, "onset", onset_threshold=threshold, split=None)
+        refuses(words, fit_locomotion, demos, "onset", onset_threshold=threshold, split=None)
 
 
 def test_an_individual_that_never_moves_is_refused() -> None:
@@ -149,8 +146,7 @@ def test_an_individual_that_never_moves_is_refused() -> None:
     still = demos.positions.copy()
     still[:, 1] = 0.25
     demos = Demonstrations(**{**vars(demos), "positions": still})
-    with pytest.raises(InputError, match=r"b has .* steps, 0 of them in motion"):
-        fit_locomotion(demos, split=None)
+    refuses(r"b has .* steps, 0 of them in motion", fit_locomotion, demos, split=None)
 
 
 def test_a_single_episode_has_no_interval() -> None:
@@ -158,8 +154,7 @@ def test_a_single_episode_has_no_interval() -> None:
     fit = fit_locomotion(demos, split=None)
     assert fit.validated_on == "all"
     assert all(one.damping_interval is None for one in fit.individuals)
-    with pytest.raises(InputError, match="holds no episode"):
-        fit_locomotion(demos)
+    refuses("holds no episode", fit_locomotion, demos)
 
 
 def test_fits_survive_json(tmp_path: Path) -> None:
@@ -167,8 +162,7 @@ def test_fits_survive_json(tmp_path: Path) -> None:
     fit = fit_locomotion(demos, bootstrap=50)
     assert LocomotionFit.load(fit.save(tmp_path / "fit.json")) == fit
     (tmp_path / "other.json").write_text(json.dumps({"a": 1}))
-    with pytest.raises(InputError, match="not a locomotion fit"):
-        LocomotionFit.load(tmp_path / "other.json")
+    refuses("not a locomotion fit", LocomotionFit.load, tmp_path / "other.json")
 
 
 def test_same_seed_same_intervals() -> None:

@@ -1,7 +1,5 @@
 """Damping and thrust of noisy tracks, against walks whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Odour fitted to recordings: what is drawn in the world is what was recorded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

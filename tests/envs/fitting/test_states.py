@@ -1,7 +1,5 @@
 """States of locomotion: a known law is found again, and one state is not taken for two."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import animarl
+from refusals import refuses
 from thrust_walks import DT, walk
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
 from animarl_envs.demos import Demonstrations
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.states import compare_states, fit_states
 from animarl_envs.locomotion import Locomotion
 
@@ -79,10 +77,8 @@ def test_a_state_that_holds_hardly_a_step_is_said(two: Demonstrations, tmp_path:
     ],
 )
 def test_bad_states_are_refused(options: tuple[str, ...], sentence: str) -> None:
-    with pytest.raises(InputError, match=sentence):
-        animarl("fit", "fly", *options)
+    refuses(sentence, animarl, "fit", "fly", *options)
 
 
 def test_states_need_episodes_to_validate_on(two: Demonstrations) -> None:
-    with pytest.raises(InputError, match="no val episodes"):
-        fit_states(two.select(split="train"), 0, states=2)
+    refuses("no val episodes", fit_states, two.select(split="train"), 0, states=2)

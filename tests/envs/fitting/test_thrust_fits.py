@@ -1,7 +1,5 @@
 """Several thrust magnitudes: fitted to tracks, and followed in closed loop."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from commands import animarl
 from numpy.typing import NDArray
+from refusals import refuses
 from thrust_walks import DT, ROLES, TRUTH, walk
 from typer.testing import CliRunner
 
@@ -34,12 +33,7 @@ from animarl_envs.fitting.joint import fast_speed
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
-from animarl_envs.locomotion import (
-    MOST_THRUSTS,
-    Locomotion,
-    apply_actions,
-    infer_actions,
-)
+from animarl_envs.locomotion import MOST_THRUSTS, Locomotion, apply_actions, infer_actions
 from animarl_envs.species import FLY
 
 # -- fits -----------------------------------------------------------------------------------------
@@ -123,14 +117,12 @@ def test_a_fit_with_magnitudes_passes_through_json(tmp_path: Path) -> None:
 @pytest.mark.parametrize("thrusts", [0, MOST_THRUSTS + 1, 1.5, "2"])
 def test_impossible_numbers_of_magnitudes_are_refused(thrusts: Any) -> None:
     demos, _ = walk(TRUTH, 9, episodes=10)
-    with pytest.raises(InputError, match="thrusts is"):
-        fit_locomotion(demos, thrusts=thrusts)
+    refuses("thrusts is", fit_locomotion, demos, thrusts=thrusts)
 
 
 def test_the_onset_rule_has_one_thrust() -> None:
     demos, _ = walk(TRUTH, 9, episodes=10)
-    with pytest.raises(InputError, match="onset rule fits one thrust"):
-        fit_locomotion(demos, "onset", thrusts=2, bootstrap=0)
+    refuses("onset rule fits one thrust", fit_locomotion, demos, "onset", thrusts=2, bootstrap=0)
 
 
 # -- tracking -------------------------------------------------------------------------------------
@@ -202,8 +194,7 @@ def test_a_longer_horizon_mends_less_in_haste() -> None:
 
     assert jerk(calm.velocities) < 0.95 * jerk(near.velocities)
     assert tracking_errors(demos, calm).max() < 0.04  # a tenth of a radius
-    with pytest.raises(InputError, match=r"horizon is 0\.5: give 1 step or more"):
-        track(demos, TRUTH, horizon=0.5)
+    refuses(r"horizon is 0\.5: give 1 step or more", track, demos, TRUTH, horizon=0.5)
 
 
 def test_tracking_stays_within_walls() -> None:
@@ -227,8 +218,7 @@ def test_some_actions_at_random_are_mended_by_those_after_them() -> None:
     assert (far > tracking_errors(demos, exact)).all()
     assert (far < tracking_errors(demos, track(demos, TRUTH, random_share=1.0))).all()
     assert np.array_equal(shaken.actions, track(demos, TRUTH, random_share=0.1, seed=1).actions)
-    with pytest.raises(InputError, match="a share from 0 to 1"):
-        track(demos, TRUTH, random_share=1.5)
+    refuses("a share from 0 to 1", track, demos, TRUTH, random_share=1.5)
 
 
 def test_packaged_flies_are_followed_to_a_thousandth() -> None:
@@ -240,10 +230,8 @@ def test_packaged_flies_are_followed_to_a_thousandth() -> None:
 
 def test_tracking_wants_equal_magnitudes() -> None:
     demos, _ = walk(TRUTH, 14, episodes=5)
-    with pytest.raises(InputError, match="thrust magnitudes"):
-        track(demos, (TRUTH[0], TRUTH[1], Locomotion(0.3, 3.0)))
-    with pytest.raises(InputError, match="3 individuals"):
-        track(demos, TRUTH[:2])
+    refuses("thrust magnitudes", track, demos, (TRUTH[0], TRUTH[1], Locomotion(0.3, 3.0)))
+    refuses("3 individuals", track, demos, TRUTH[:2])
 
 
 # -- the command ----------------------------------------------------------------------------------

@@ -1,13 +1,12 @@
 """Several thrust magnitudes: 12 M + 1 actions in every world, view and learner."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refuses
 from thrust_walks import DT, MULTIPLES, ROLES, TRUTH, three, walk
 
 import animarl_envs
@@ -19,11 +18,7 @@ from animarl_algos.recipes.registry import DQN
 from animarl_algos.report.path_figures import action_labels
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import (
-    demonstrated_actions,
-    one_step_misses,
-    transitions,
-)
+from animarl_envs.fitting import demonstrated_actions, one_step_misses, transitions
 from animarl_envs.fitting.joint import nearest_actions
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import (
@@ -76,14 +71,12 @@ def test_directions_forget_the_magnitude() -> None:
                                    (np.inf,), (float("nan"),), 2.0, (True,),
                                    tuple(range(MOST_THRUSTS + 1, 0, -1))])  # fmt: skip
 def test_magnitudes_fall_and_are_positive(given: Any) -> None:
-    with pytest.raises(InputError, match="magnitudes"):
-        Locomotion(0.1, 1.0, given)
+    refuses("magnitudes", Locomotion, 0.1, 1.0, given)
 
 
 def test_individuals_with_other_numbers_of_magnitudes_are_refused() -> None:
     mixed = (Locomotion(0.25, 3.0, MULTIPLES), *AGENT.locomotion[1:])
-    with pytest.raises(InputError, match="predator_0 3, predator_1 1"):
-        replace(AGENT, locomotion=mixed)
+    refuses("predator_0 3, predator_1 1", replace, AGENT, locomotion=mixed)
 
 
 def test_magnitudes_are_an_option_by_name() -> None:
@@ -159,8 +152,7 @@ def test_all_views_offer_the_same_actions() -> None:
     assert env.action_space == gym.spaces.Discrete(37) == envs.unwrapped.single_action_space  # type: ignore[attr-defined]
     env.reset(seed=0)
     env.step(36)
-    with pytest.raises(InputError, match="0 to 36"):
-        env.unwrapped.step(37)
+    refuses("0 to 36", env.unwrapped.step, 37)
 
 
 @pytest.mark.parametrize("name", ["fly", "silkmoth"])
@@ -305,8 +297,7 @@ def test_a_model_of_other_magnitudes_is_refused() -> None:
         env=SlotVecEnv("agent", 2), offline_epochs=0, seed=0, device="cpu", buffer_size=1000
     )
     richer = SlotVecEnv(three(AGENT), 2)
-    with pytest.raises(InputError, match=r"13 actions learned and 37 here: .*thrust magnitudes"):
-        model.set_env(richer)
+    refuses(r"13 actions learned and 37 here: .*thrust magnitudes", model.set_env, richer)
     scenario = make_scenario(three(AGENT), split="val")
     with pytest.raises(InputError, match="thrust magnitudes"):
         collect_rollouts(

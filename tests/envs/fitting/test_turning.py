@@ -1,7 +1,5 @@
 """How a body turns: the law, its fit to recorded headings, and the species made of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

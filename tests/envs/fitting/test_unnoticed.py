@@ -1,7 +1,5 @@
 """Rules that the code could once lose without any test noticing, one test for each."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Headings of a chase: a state that turns, is replayed, seen, mirrored and kept per copy."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import replace

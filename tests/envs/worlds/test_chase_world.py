@@ -1,7 +1,5 @@
 """The chase world against a plain reference, against recorded episodes, and its invariants."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Warm-up: a policy remembers the actions that were executed, not those that it asked for."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Worlds at the edge of what options allow: they start, they stay finite, or they are refused."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """One pursuer and several targets: a dog and its flock, from tracks to a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,18 +1,16 @@
 """The world without a target: one animal, and groups of animals that are alike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusals import refuses
 
 import animarl_envs
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
-from animarl_envs.errors import InputError
 from animarl_envs.fitting import joint_locomotion, track
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.focus import COURSE
@@ -185,10 +183,8 @@ def test_views_and_options_of_free_animals() -> None:
     assert fewer.species.individuals == demos.individuals[:2]
     more = make_scenario("custom", demos=demos, num_pursuers=20, start="uniform")
     assert more.species.num_individuals == 20 and more.species.free
-    with pytest.raises(InputError, match="num_targets does not apply"):
-        make_scenario("custom", demos=demos, num_targets=2)
-    with pytest.raises(InputError, match="neighbours is -1"):
-        make_scenario("custom", demos=demos, neighbours=-1)
+    refuses("num_targets does not apply", make_scenario, "custom", demos=demos, num_targets=2)
+    refuses("neighbours is -1", make_scenario, "custom", demos=demos, neighbours=-1)
 
 
 def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:

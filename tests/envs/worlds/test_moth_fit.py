@@ -1,7 +1,5 @@
 """The fit of the programmed moth: within its bounds, repeatable, and better than where it began."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The order in which a chaser sees the others: by distance, ties by index, few or many of them."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

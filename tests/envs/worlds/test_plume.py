@@ -1,7 +1,5 @@
 """The plume: what a table says, the filament model, a user's movie, and the fit to recordings."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import replace
@@ -12,6 +10,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refuses
 
 import animarl_envs  # noqa: F401  registers the environments
 from animarl_envs.drawing.render import write_clip
@@ -222,19 +221,15 @@ def test_bad_movie_is_refused_in_one_sentence(
 
 
 def test_bad_choices_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
-        Plume.from_movie(tmp_path / "absent.mp4", **MOVIE)
+    refuses("no such file", Plume.from_movie, tmp_path / "absent.mp4", **MOVIE)
     np.save(tmp_path / "flat.npy", np.zeros((4, 4)))
     with pytest.raises(InputError, match=r"flat\.npy has shape \(4, 4\)"):
         Plume.from_movie(tmp_path / "flat.npy", **MOVIE).pattern_table(0, 0.5, 0.0)
-    with pytest.raises(InputError, match="'model', 'off', 'continuous'"):
-        as_plume("windy")
+    refuses("'model', 'off', 'continuous'", as_plume, "windy")
     with pytest.raises(InputError, match="pattern 5 does not exist: choose 0 to 4"):
         hit_table(ModelPlume.fitted(), (5,), 0.5, 0.0025)
-    with pytest.raises(InputError, match="growth is -1"):
-        replace(SMALL, growth=-1.0)
-    with pytest.raises(InputError, match="whole number"):
-        replace(SMALL, period=6.5)
+    refuses("growth is -1", replace, SMALL, growth=-1.0)
+    refuses("whole number", replace, SMALL, period=6.5)
 
 
 def test_plumes_can_be_pickled_and_tables_are_shared() -> None:

@@ -1,7 +1,5 @@
 """The programmed moth: its sequence, and that it finds the source better with full senses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Worlds with walls: who walks into one is held, loses the velocity into it, and slides along."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

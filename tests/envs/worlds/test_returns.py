@@ -3,8 +3,6 @@
 ``benchmarks/returns.py`` prints the table for more episodes and other rewards.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any

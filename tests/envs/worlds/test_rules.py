@@ -1,8 +1,6 @@
 """The scripted rules, as arrays: what walls cost, where the target flees to, and that pursuers push
 straight on. The numbers 6 steps, a quarter, 10 and 0.05 are the rule's own, written out here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """What a searcher senses: odour at two antennae, wind from four sides, its own turning."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

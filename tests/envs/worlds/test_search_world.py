@@ -1,7 +1,5 @@
 """The odour-search world: agreement with a plain NumPy reference, ends, copies, refusals."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -9,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refuses
 from search_worlds import STRAIGHT_UPWIND, random_actions, rollout, search_world
 
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
@@ -69,12 +67,7 @@ def reference(
         flow = float(np.clip(flow, -species.flow_limit, species.flow_limit))
         air_from = math.degrees(-angle)  # upwind, seen from the body, to the left
         sector = np.array(
-            [
-                abs(air_from) <= 45,
-                -135 < air_from < -45,
-                45 < air_from < 135,
-                abs(air_from) >= 135,
-            ]
+            [abs(air_from) <= 45, -135 < air_from < -45, 45 < air_from < 135, abs(air_from) >= 135]
         )
         open_senses = float(condition == 0)
         strides = -velocity / (loco.thrust * species.dt)
@@ -169,13 +162,10 @@ def test_scene_details_say_where_the_antennae_are() -> None:
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        search_world(**options)
+    refuses(says, search_world, **options)
 
 
 def test_unknown_pattern_and_scripted_moth_are_refused() -> None:
-    with pytest.raises(InputError, match="pattern 7 does not exist"):
-        search_world(train_plumes=(7,))
+    refuses("pattern 7 does not exist", search_world, train_plumes=(7,))
     scenario = Scenario(species=SILKMOTH, start="uniform", drivers=("scripted",))
-    with pytest.raises(InputError, match="no scripted rule"):
-        SearchWorld(scenario, 1)
+    refuses("no scripted rule", SearchWorld, scenario, 1)

@@ -1,7 +1,5 @@
 """A trained policy keeps its scales in a changed world: same places and velocities, same inputs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -160,9 +158,7 @@ def test_who_knows_its_body_perceives_its_motion_in_units_of_it(name: str) -> No
         or (name not in CHASES and ("velocity" in one or "speed" in one or "acceleration" in one))
     ]  # fmt: skip
     half = replace(
-        demos,
-        positions=0.5 * demos.positions,
-        initial_velocity=0.5 * demos.initial_velocity,
+        demos, positions=0.5 * demos.positions, initial_velocity=0.5 * demos.initial_velocity
     )
     before = demonstration_observations(species, demos)[..., own]
     after = demonstration_observations(changed, half)[..., own]

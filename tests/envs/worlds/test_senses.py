@@ -1,7 +1,5 @@
 """What species are observed by: no dead component, honest ranges, a chase's mirror image."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

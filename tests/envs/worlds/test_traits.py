@@ -1,7 +1,5 @@
 """Traits: found where animals differ, drawn from training animals, told to recordings' clones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
