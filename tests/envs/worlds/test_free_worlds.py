@@ -99,10 +99,8 @@ def test_focus_rules_hold_in_world_labels_and_tracking(rule: str) -> None:
 
 @pytest.mark.parametrize("rule", ["prey", "centre", "centre 0", "direction 0 0", "point 1 x"])
 def test_focus_rules_that_are_none_are_refused(rule: str) -> None:
-    with pytest.raises(InputError, match="choose 'course', 'nearest', 'centre K'"):
-        make_scenario("shoal", focus=rule)
-    with pytest.raises(InputError, match="focus is 'nearest' but prey is pursued"):
-        make_scenario("agent", focus="nearest")
+    refuses("choose 'course', 'nearest', 'centre K'", make_scenario, "shoal", focus=rule)
+    refuses("focus is 'nearest' but prey is pursued", make_scenario, "agent", focus="nearest")
 
 
 def test_the_nearest_few_are_seen_in_order() -> None:
