@@ -17,14 +17,22 @@ from functools import partial
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.special import gammaincinv, ndtr, ndtri
 
 from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, pair_table, permutation_anova
 from animarl_algos.evaluation.distances import energy_cells
 from animarl_algos.evaluation.exchange_test import Exchanges
+from animarl_algos.evaluation.realism import _over_groups as over_groups
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Draws, margins
+from animarl_algos.evaluation.statistics import (
+    Cells,
+    Draws,
+    bootstrap_difference,
+    bootstrap_mean,
+    margins,
+)
 from animarl_algos.evaluation.windows import Windows, window_features
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.scenario import make_scenario
@@ -38,24 +46,32 @@ STARTS = (10, 20, 50)  # of the null references
 SETS = tuple(packaged_names())  # that random actions are told from
 EPISODES = 100  # of the comparison that is timed
 GATES = ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10))
-STARTS = (10, 20, 50)  # of the null references
-SETS = tuple(packaged_names())  # that random actions are told from
-EPISODES = 100  # of the comparison that is timed
-GATES = ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10))
 # Standard deviations: of seeds, demonstrations, their cells and rollouts; of normal values, and of
 # the logarithm of lognormal ones.
 SPREAD = {"normal": (0.5, 1.0, 0.5, 1.0), "lognormal": (0.3, 0.6, 0.3, 0.5)}
 OWN = {"normal": 0.5, "lognormal": 0.25}  # of a demonstration for one method or cue alone
 EFFECT = 0.2
+TOTAL = float(np.sqrt(np.square(SPREAD["normal"]).sum()))
+LINKS: dict[str, Callable[[Floats], Floats]] = {
+    "gamma": lambda z: gammaincinv(1.5, ndtr(z)),
+    "mixture": lambda z: z + 4.0 * (z > ndtri(0.8)),  # one value in five is four sd farther
+    "zero-inflated": lambda z: np.where(z > ndtri(0.3), np.exp(0.6 * z), 0.0),
+    "censored": lambda z: np.exp(0.8 * np.minimum(z, ndtri(0.6))),  # two films in five end before
+}
+"""Further values, of normal ones in units of their standard deviation ``TOTAL``."""
+OTHER_SEEDS = (1, 3)
+SHARES = (0.02, 0.1, 0.5, 0.9, 0.98)
+QUANTILES = ndtri((np.arange(2000) + 0.5) / 2000)
 
 
 class World:
     """Experiments of one size at once: values ``(experiments, seeds, demos, rollouts)``, truths."""
 
     def __init__(self, kind: str, seeds: int, demos: int, many: int, rng: np.random.Generator):
-        self.kind, self.rng = kind, rng
+        self.kind, self.rng, self.link = kind, rng, LINKS.get(kind)
         self.shape = (many, seeds, demos, ROLLOUTS)
-        self.sd = SPREAD[kind]
+        self.own = OWN.get(kind, OWN["normal"])
+        self.sd = SPREAD.get(kind, SPREAD["normal"])
         self.demo = self.sd[1] * self.noise(1, 0, 1, 0)
 
     def noise(self, *axes: int) -> Floats:
@@ -71,6 +87,8 @@ class World:
     def values(self, exponent: Floats) -> Floats:
         """Cell means ``(experiments, seeds, demos)``, rollouts added."""
         drawn = exponent + self.sd[3] * self.noise(1, 1, 1, 1)
+        if self.link is not None:
+            return np.asarray(self.link(drawn / TOTAL).mean(axis=3))
         return np.asarray((np.exp(drawn) if self.kind == "lognormal" else drawn).mean(axis=3))
 
     def truth(self, network: Floats, *spreads: float, effect: float = 0.0) -> Floats:
@@ -80,6 +98,9 @@ class World:
         if self.kind == "normal":
             return fixed + effect
         varying = [*self.sd[1:], *spreads, *(() if number == 1 else self.sd[:1])]
+        if self.link is not None:
+            rest = np.sqrt(np.square(varying).sum()) * QUANTILES
+            return np.asarray(self.link((fixed[:, None] + effect + rest) / TOTAL).mean(axis=1))
         return np.asarray(np.exp(fixed + effect + 0.5 * np.square(varying).sum()))
 
 
@@ -97,7 +118,7 @@ def mean_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
 
 def pair_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
     """Two methods of networks of their own, on the same demonstrations."""
-    own, tables, truths = OWN[world.kind], [], []
+    own, tables, truths = world.own, [], []
     for effect in (EFFECT, 0.0):
         network = world.network()
         exponent = network + world.demo + own * world.noise(1, 0, 1, 0) + world.cell() + effect
@@ -110,7 +131,7 @@ def pair_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
 
 def shift_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
     """The same networks told two cues: each shifts by an amount of its own, at each start."""
-    own, network = OWN[world.kind], world.network()
+    own, network = world.own, world.network()
     base = network + world.demo + world.cell()
     of_network = 0.5 * world.network()
     shift = EFFECT + of_network + own * world.noise(1, 0, 1, 0)
@@ -156,6 +177,78 @@ def intervals(experiments: int) -> None:
         for seeds in SEEDS
     ]
     show(f"Coverage, {experiments:,} experiments", ["statistic", "seeds", *heading], rows)
+
+
+def others(experiments: int) -> None:
+    heading = [f"{kind}, {demos}" for kind in LINKS for demos in DEMOS]
+    rows = []
+    for name in STATISTICS:
+        for seeds in OTHER_SEEDS:
+            found = [
+                coverage(name, kind, seeds, demos, experiments) for kind in LINKS for demos in DEMOS
+            ]
+            rows.append([name, str(seeds), *(f"{share:.3f}" for share in found)])
+    show(
+        f"Coverage of other values, {experiments:,} experiments",
+        ["statistic", "seeds", *heading], rows,
+    )  # fmt: skip
+
+
+def shares(experiments: int) -> None:
+    """Of a share of episodes, and of what it differs from the recorded one."""
+    heading = [f"{100 * share:g} %, {demos}" for share in SHARES for demos in DEMOS]
+    rows = {(name, seeds): [name, str(seeds)] for name in ("share", "difference to the recorded")
+            for seeds in OTHER_SEEDS}  # fmt: skip
+    for seeds in OTHER_SEEDS:
+        for share in SHARES:
+            for demos in DEMOS:
+                inside = shares_inside(share, seeds, demos, experiments)
+                for name, found in zip(("share", "difference to the recorded"), inside):
+                    rows[name, seeds].append(f"{found:.3f}")
+    show(
+        f"Coverage of shares, {experiments:,} experiments",
+        ["statistic", "seeds", *heading], list(rows.values()),
+    )  # fmt: skip
+
+
+def shares_inside(share: float, seeds: int, demos: int, experiments: int) -> Floats:
+    """How often the intervals of a share and of a difference of shares hold the truth."""
+    rng = np.random.default_rng([6, round(1000 * share), seeds, demos])
+    of_network, of_demo, of_cell, of_rollout = SPREAD["normal"]
+    apart = np.sqrt(of_demo**2 + of_cell**2 + of_rollout**2)
+    limit = -ndtri(share) * TOTAL
+    recorded_truth = float(ndtr(-limit / apart))
+    inside = np.zeros(2)
+    for _ in range(experiments):
+        demo, network = of_demo * rng.normal(size=demos), of_network * rng.normal(size=(seeds, 1))
+        centre = network + demo + of_cell * rng.normal(size=(seeds, demos))
+        drawn = centre[..., None] + of_rollout * rng.normal(size=(seeds, demos, ROLLOUTS)) > limit
+        many = Cells(drawn.sum(axis=2).astype(float), np.full((seeds, demos), float(ROLLOUTS)))
+        noise = np.hypot(of_cell, of_rollout) * rng.normal(size=(1, demos))
+        one = Cells((demo + noise > limit).astype(float), np.ones((1, demos)))
+        truth = ndtr(float(network[0, 0] - limit) / apart) if seeds == 1 else share
+        found = bootstrap_mean(many, rng, share=True), bootstrap_difference(
+            many, one, rng, share=True
+        )  # fmt: skip
+        truths = truth, truth - recorded_truth
+        inside += [each.low <= true <= each.high for each, true in zip(found, truths)]
+    return np.asarray(inside / experiments)
+
+
+def realism(experiments: int) -> None:
+    """Of the mean of scores between 0 and 1, one a recording, by percentiles."""
+    rng, row = np.random.default_rng(7), []
+    truth = float(ndtr(QUANTILES - 0.8).mean())
+    for demos in DEMOS:
+        inside = 0
+        for _ in range(experiments):
+            found = over_groups(ndtr(rng.normal(size=demos) - 0.8), np.arange(demos), rng)
+            inside += found.low <= truth <= found.high
+        row.append(f"{inside / experiments:.3f}")
+    show(
+        f"Coverage of the realism score, {experiments:,} experiments",
+        [f"{demos} recordings" for demos in DEMOS], [row],
+    )  # fmt: skip
 
 
 def energy(experiments: int) -> None:
@@ -312,6 +405,9 @@ def show(title: str, heading: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
 SECTIONS: dict[str, tuple[Callable[[int], None], int]] = {
     "intervals": (intervals, 4000),
+    "others": (others, 1000),
+    "shares": (shares, 1000),
+    "realism": (realism, 2000),
     "energy": (energy, 1000),
     "null": (null, 400),
     "copies": (copies, 400),

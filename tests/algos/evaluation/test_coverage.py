@@ -15,7 +15,7 @@ from benchmarks import stated_coverage
 EXPERIMENTS = 500
 TINY = {
     "SEEDS": (1, 3), "DEMOS": (10,), "RESAMPLES": 50, "STARTS": (10,), "SETS": ("fly",),
-    "EPISODES": 10, "GATES": ((3, 3),),
+    "EPISODES": 10, "GATES": ((3, 3),), "OTHER_SEEDS": (1, 3), "SHARES": (0.5,),
 }  # fmt: skip
 CHANCE = 0.035  # three and a half standard errors of a share of 0.95 in 500 experiments
 
