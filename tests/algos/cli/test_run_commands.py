@@ -1,7 +1,5 @@
 """``animarl evaluate``, ``counterfactual`` and ``inspect``: many runs in, tables and a page out."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import resource

@@ -1,7 +1,5 @@
 """``animarl watch``: clips of recorded, scripted and trained animals."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
@@ -12,6 +10,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 import typer
+from refusals import refuses
 from small_runs import few, made
 from typer.testing import CliRunner
 
@@ -120,17 +119,13 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     assert len(positions_of(world, actor, steps=3)) == 4 + 1  # the last picture is held
     world, _ = prepare(agent, model=run.path, focal="prey")
     assert world.scenario.drivers == ("replay", "replay", "action")
-    with pytest.raises(InputError, match="AnimaRL/Agent-v0"):
-        prepare(NEWT, model=run.path)
-    with pytest.raises(InputError, match="predator_1"):
-        prepare(agent, model=run.path, focal="nobody")
+    refuses("AnimaRL/Agent-v0", prepare, NEWT, model=run.path)
+    refuses("predator_1", prepare, agent, model=run.path, focal="nobody")
     changed = run.record | {"settings": run.record["settings"] | {"acting": "chosen"}}
     (run.path / "settings.json").write_text(json.dumps(changed))
-    with pytest.raises(InputError, match="no acting rule was chosen yet"):
-        prepare(agent, model=run.path)
+    refuses("no acting rule was chosen yet", prepare, agent, model=run.path)
     shutil.rmtree(run.path / "policies")
-    with pytest.raises(InputError, match="no trained policy"):
-        prepare(agent, model=run.path)
+    refuses("no trained policy", prepare, agent, model=run.path)
 
 
 def test_a_policy_drives_all_individuals_and_keeps_its_state():
