@@ -48,6 +48,7 @@ from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.counterfactual import permuted_runs
 from animarl_algos.runs.run import Run
+from animarl_algos.whatif.absent import Present
 from animarl_algos.whatif.answer import ask, mean_over_starts, quantities_of
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import Caution
@@ -73,16 +74,18 @@ WRONG = 0.5  # of the true shift
 COURTSHIP = (
     "female.thrust=x0.8", "female.thrust=x1.2", "female.thrust=x2", "males.thrust=x0.8",
     "males.thrust=x1.2", "males.thrust=x2", "arena=x1.2", "arena=x3", "contact=x0.7",
-    "contact=x1.5", "all.damping=x2",
+    "contact=x1.5", "all.damping=x2", "remove=male_1", "start=uniform",
 )  # fmt: skip
 CHASE = (
     "prey.thrust=x0.8", "prey.thrust=x1.2", "prey.thrust=x2", "predators.thrust=x0.8",
     "predators.thrust=x1.2", "predators.thrust=x2", "arena=x1.2", "arena=x3", "contact=x0.7",
     "contact=x1.5", "all.damping=x2", "condition=individual", "condition=shared",
+    "start=uniform",
 )  # fmt: skip
 SEARCH = (
     "moth.thrust=x0.8", "moth.thrust=x1.2", "moth.thrust=x2", "contact=x0.5", "contact=x2",
-    "antenna_radius=x2", "antenna_radius=x5", "moth.damping=x2",
+    "antenna_radius=x2", "antenna_radius=x5", "moth.damping=x2", "plume=off", "plume=continuous",
+    "wind=x0.5", "wind=x1.5", "odour=x0.5", "odour=x2",
 )  # fmt: skip
 CHANGES = {
     "agent": CHASE, "fly": COURTSHIP, "newt": COURTSHIP, "silkmoth": SEARCH, RECORDED: CHASE,
@@ -122,8 +125,13 @@ class Truth:
         seen: Reading = reading if self.teams is not None else "habit"
         species = change_world(self.species, seen, **options)
         believed = self.species if reading == "habit" else species
+        test = self.test if scenario is None else scenario.moved(self.test, species)
         if self.teams is None:
-            return self._program(species, believed, seed)
+            if scenario is not None and scenario.removed:
+                left = Present.without(species, scenario.removed)
+                species, test = left.species, left.demonstrations(test)
+                believed = Present.without(believed, scenario.removed).species
+            return self._program(species, believed, test, seed)
         parts = []
         for condition in np.unique(self.test.condition).tolist():
             told = condition if scenario is None else self._told(scenario, condition)
@@ -132,7 +140,7 @@ class Truth:
             made = collect_rollouts(
                 partial(
                     make_world,
-                    make_scenario(species, demos=self.test.select(episodes=own), split=None),
+                    make_scenario(species, demos=test.select(episodes=own), split=None),
                 ),
                 team.policy,
                 method="truth",
@@ -147,8 +155,10 @@ class Truth:
         name = scenario.condition
         return condition if name is None else self.species.conditions.index(name)
 
-    def _program(self, species: Species, believed: Species, seed: int) -> Rollouts:
-        world = make_scenario(species, demos=self.test, split=None)
+    def _program(
+        self, species: Species, believed: Species, test: Demonstrations, seed: int
+    ) -> Rollouts:
+        world = make_scenario(species, demos=test, split=None)
         policy: Any
         if isinstance(species, SearchSpecies):
             assert isinstance(believed, SearchSpecies)
@@ -245,6 +255,8 @@ def answered(
     for reading in readings:
         scenarios = parse_scenarios(changes, runs[0].scenario.species, separately=True)
         asked = [s for s in scenarios if reading == "habit" or s.moves_bodies]
+        if not asked:
+            continue
         texts = [scenario.name for scenario in asked]
         found = ask(runs, texts, repetitions=repetitions, reading=reading, separately=True)
         usual = truth.roll_out(None, reading, 0)
@@ -264,9 +276,14 @@ def rows(name: str, runs: list[Run], one: Answered) -> Iterator[dict[str, Any]]:
     counts = np.ones(len(test), dtype=bool)
     if one.scenario.condition is not None:
         counts = test.condition != species.conditions.index(one.scenario.condition)
-    for quantity in quantities_of(species, unit_of(runs[0].demos)):
-        before, after = (quantity.values(each) for each in one.predicted)
-        true = _by_start(one.true[1], quantity.values(one.true[1]), len(test)) - _by_start(
+    unit = unit_of(runs[0].demos)
+    measures = {measure.name: measure.values for measure in quantities_of(one.true[1], unit)}
+    for quantity in quantities_of(species, unit):
+        if quantity.name not in measures:  # of somebody who is gone
+            continue
+        measure = measures[quantity.name]
+        before, after = quantity.values(one.predicted[0]), measure(one.predicted[1])
+        true = _by_start(one.true[1], measure(one.true[1]), len(test)) - _by_start(
             one.true[0], quantity.values(one.true[0]), len(test)
         )
         demo = one.predicted[1].demo
@@ -339,6 +356,7 @@ def main(
     quick: Annotated[
         bool, typer.Option("--quick", help="Packaged models, few changes, nothing trained.")
     ] = False,
+    change: Annotated[list[str] | None, typer.Option(help="Only these; repeatable.")] = None,
     permutations: Annotated[int, typer.Option(help="Of the conditions of larvae.")] = 20,
     out: Annotated[Path | None, typer.Option(help="Folder for the tables.")] = None,
 ) -> None:
@@ -361,7 +379,9 @@ def main(
         seeds = [0] if quick else seed or [0, 1, 2]
         runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
         folder = agents / "weights" if name == RECORDED else None
-        for one in answered(runs, changes[name], 2 if quick else repetitions, folder):
+        for one in answered(
+            runs, tuple(change or changes[name]), 2 if quick else repetitions, folder
+        ):
             found = list(rows(name, runs, one))
             parts += found
             _print(console, name, one, found)

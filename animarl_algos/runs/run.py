@@ -492,12 +492,13 @@ class Run:
         seed: int | None = None,
         draws: int = 0,
         wrap: Callable[[Policy], Policy] = lambda policy: policy,
+        make: Callable[[int], Any] | None = None,
     ) -> Rollouts:
         """Return rollouts of a policy from every start of a world, told ``cue``.
 
         Whatever it is told, a policy gets the same random numbers, and so does the world; another
-        number of ``draws`` gives the policy others. ``wrap`` returns what acts in its place. World,
-        ``repetitions`` and ``seed`` are by default the run's own, from its test starts.
+        number of ``draws`` gives the policy others. ``wrap`` returns what acts in its place,
+        ``make`` copies of a world. World, ``repetitions`` and ``seed`` are by default the run's.
         """
 
         def reseed(seed: int) -> None:
@@ -505,7 +506,7 @@ class Run:
                 policy.policy.seed(seed + draws)
 
         return collect_rollouts(
-            partial(make_world, scenario or self.scenario),
+            make or partial(make_world, scenario or self.scenario),
             wrap(self.for_all(policy)),
             method=name,
             seed=self.settings.seed if seed is None else seed,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
+from animarl_algos.whatif.absent import Present, simulate_from
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -207,7 +209,10 @@ def ask(
 
 def _check(scenario: Scenario, run: TrainedRun, unit: Unit) -> None:
     """Refuse what cannot be made before anything is simulated."""
-    change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
+    species = change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
+    scenario.moved(run.demos.select(split="test"), species)
+    if scenario.removed:
+        Present.without(species, scenario.removed)
     sensed = run.scenario.species.condition_is_sensed
     if scenario.condition is not None and not sensed and not run.told_condition:
         raise InputError(
@@ -232,18 +237,19 @@ class _Asker:
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
-        self.baseline, self.usual, self.usual_inputs = self._simulate({}, None, "habit")
+        self.usual = self.usual_inputs = np.zeros(0)  # of the absent, once it is known
+        self.baseline, self.usual, self.usual_inputs = self._simulate({}, Scenario(()), "habit")
         self.quantities = list(quantities_of(self.species, unit))
 
     def answer(self, scenario: Scenario, nulls: Sequence[_Asker] = ()) -> Answer:
         """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
         thrusts = self._thrusts(scenario)
         options = scenario.options(self.species, self.unit, thrusts)
-        changed, beyond, inputs = self._simulate(options, scenario.condition, self.reading)
+        changed, beyond, inputs = self._simulate(options, scenario, self.reading)
         other = None
         if scenario.moves_bodies:
             reading: Reading = "knows" if self.reading == "habit" else "habit"
-            other = self._simulate(options, scenario.condition, reading)[0]
+            other = self._simulate(options, scenario, reading)[0]
         rows = list(self._rows(scenario, changed, other))
         warning, reason = self._warning(beyond, inputs, rows)
         by_chance = np.array([one.shifts(scenario) for one in nulls])
@@ -263,8 +269,14 @@ class _Asker:
 
         return Answer(
             scenario, pd.DataFrame(rows), warning, reason, thrusts, changed,
-            change_world(self.species, **options),
+            self._changed_species(scenario, options),
         )  # fmt: skip
+
+    def _changed_species(self, scenario: Scenario, options: Mapping[str, Any]) -> Species:
+        species = change_world(self.species, **options)
+        if scenario.removed:
+            return Present.without(species, scenario.removed).species
+        return species
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world."""
@@ -277,31 +289,40 @@ class _Asker:
     def shifts(self, scenario: Scenario) -> list[float]:
         """Return the shift of each quantity."""
         options = scenario.options(self.species, self.unit)
-        changed = self._simulate(options, scenario.condition, self.reading)[0]
+        changed = self._simulate(options, scenario, self.reading)[0]
         return [row["shift"] for row in self._rows(scenario, changed, None)]
 
     def _simulate(
         self,
         options: Mapping[str, Any],
-        condition: str | None,
+        scenario: Scenario,
         reading: Reading,
         repetitions: int | None = None,
     ) -> tuple[Rollouts, Floats, Floats]:
         """Rollouts of all runs, and shares of inputs beyond their range."""
-        parts, beyond, inputs = [], [], []
+        parts: list[Rollouts] = []
+        beyond: list[Floats] = []
+        inputs: list[Floats] = []
+        condition, names = scenario.condition, self.species.individuals
+        there = [i for i, name in enumerate(names) if name not in scenario.removed]
         for run, ranges in zip(self.runs, self.ranges):
             watched: list[WatchedPolicy] = []
 
             def wrap(policy: Any, ranges: InputRange = ranges, into: Any = watched) -> Any:
-                into.append(WatchedPolicy(policy, ranges))
+                own = InputRange(ranges.low[there], ranges.high[there], ranges.names)
+                into.append(WatchedPolicy(policy, own))
                 return into[-1]
 
             cue: dict[str, Any] = {}
             if condition is not None:
                 index = self.species.conditions.index(condition)
                 cue = {"condition": index} if self.species.condition_is_sensed else {"told": index}
+            simulate: Callable[..., Rollouts] = run.simulate
+            if scenario.removed or scenario.starts:
+                moved = scenario.moved(self.test, change_world(self.species, **options))
+                simulate = partial(simulate_from, run, moved, scenario.removed)
             parts.append(
-                run.simulate(
+                simulate(
                     repetitions=repetitions or self.repetitions,
                     reading=reading,
                     wrap=wrap,
@@ -309,9 +330,12 @@ class _Asker:
                     **options,
                 )
             )
-            shares = watched[0].shares()
-            beyond.append(shares[0])
-            inputs.append(shares[1])
+            for found, own, usual in zip(
+                (beyond, inputs), watched[0].shares(), (self.usual, self.usual_inputs), strict=True
+            ):
+                whole = usual.copy() if scenario.removed else own
+                whole[there] = own
+                found.append(whole)
         return Rollouts.concatenate(parts), np.mean(beyond, axis=0), np.mean(inputs, axis=0)
 
     def _thrusts(self, scenario: Scenario) -> dict[str, float]:
@@ -323,39 +347,32 @@ class _Asker:
         factors = dict.fromkeys(wanted, 1.0)
         if not wanted:
             return factors
-        names = self.species.individuals
-        start = {name: usual[names.index(name)] for name in wanted}
+        start = {name: usual[name] for name in wanted}
         tried = {name: [(0.0, np.log(start[name]))] for name in wanted}
         for name, target in wanted.items():
             factors[name] = float(np.clip(target / start[name], *THRUST_LIMITS))
         for _ in range(MOST_TRIES):
             options = scenario.options(self.species, self.unit, factors)
-            achieved = _speeds(
-                self._simulate(options, scenario.condition, self.reading, TRY_REPETITIONS)[0]
-            )
-            miss = {n: np.log(wanted[n] / achieved[names.index(n)]) for n in wanted}
+            achieved = _speeds(self._simulate(options, scenario, self.reading, TRY_REPETITIONS)[0])
+            miss = {n: np.log(wanted[n] / achieved[n]) for n in wanted}
             if all(abs(one) <= CLOSE_ENOUGH for one in miss.values()):
                 return factors
             for name in wanted:
-                tried[name].append((np.log(factors[name]), np.log(achieved[names.index(name)])))
+                tried[name].append((np.log(factors[name]), np.log(achieved[name])))
                 factors[name] = _next_factor(tried[name], np.log(wanted[name]))
         worst = max(miss, key=lambda name: abs(miss[name]))
         scale = self.unit.per_arena_unit
         raise InputError(
             f"{scenario.name}: no thrust between x{THRUST_LIMITS[0]:g} and x{THRUST_LIMITS[1]:g} "
             f"brings {worst} to {wanted[worst] * scale:.3g} {self.unit.name}/s; the last try gave "
-            f"{achieved[names.index(worst)] * scale:.3g}: ask for less, or change its thrust"
+            f"{achieved[worst] * scale:.3g}: ask for less, or change its thrust"
         )
 
-    def _wanted(self, change: Change, usual: Floats) -> dict[str, float]:
+    def _wanted(self, change: Change, usual: Mapping[str, float]) -> dict[str, float]:
         """Speeds that a change asks for [arena unit / s]."""
         assert not isinstance(change.amount, str)
         scales = {f"{self.unit.name}/s": 1.0 / self.unit.per_arena_unit}
-        names = self.species.individuals
-        return {
-            name: change.amount.of(float(usual[names.index(name)]), scales, change.text)
-            for name in change.who
-        }
+        return {name: change.amount.of(usual[name], scales, change.text) for name in change.who}
 
     def _rows(
         self, scenario: Scenario, changed: Rollouts, other: Rollouts | None
@@ -367,12 +384,16 @@ class _Asker:
             counts = self.test.condition[changed.demo] != index
         recorded = Rollouts.from_demonstrations(self.test)
         shown = np.unique(changed.demo[counts])
+        measures = {q.name: q for q in quantities_of(changed, self.unit)}
         for quantity in self.quantities:
-            before, after = quantity.values(self.baseline), quantity.values(changed)
+            if quantity.name not in measures:  # of somebody who is gone
+                continue
+            measure = measures[quantity.name].values
+            before, after = quantity.values(self.baseline), measure(changed)
             shift = self._mean(changed, after - before, counts)
             further = float("nan")
             if other is not None:
-                further = self._mean(other, quantity.values(other) - before, counts).estimate
+                further = self._mean(other, measure(other) - before, counts).estimate
             baseline = self._mean(self.baseline, before, counts).estimate
             true = float(np.nanmean(quantity.values(recorded)[shown]))
             yield {
@@ -461,13 +482,14 @@ def _next_factor(tried: Sequence[tuple[float, float]], wanted: float) -> float:
     return float(np.clip(np.exp(x[-1] + np.clip(step, -0.7, 0.7)), *THRUST_LIMITS))
 
 
-def _speeds(rollouts: Rollouts) -> Floats:
+def _speeds(rollouts: Rollouts) -> dict[str, float]:
     """Mean speed of each individual, every episode weighing alike [arena unit / s]."""
     seconds = np.maximum(rollouts.lengths - 1, 1) * rollouts.dt
-    return np.asarray((path_lengths(rollouts) / seconds[:, None]).mean(axis=0))
+    speeds = (path_lengths(rollouts) / seconds[:, None]).mean(axis=0)
+    return dict(zip(rollouts.individuals, speeds.tolist(), strict=True))
 
 
-def quantities_of(species: Species, unit: Unit) -> Iterator[Quantity]:
+def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
     """Yield what is asked of every answer: outcome, duration, paths, distance, speeds."""
     scale, name = unit.per_arena_unit, unit.name
 
@@ -496,17 +518,17 @@ def quantities_of(species: Species, unit: Unit) -> Iterator[Quantity]:
 
     def all_speeds(rollouts: Rollouts) -> Floats:
         return np.asarray(
-            np.mean([speed_of(i)(rollouts) for i in range(species.num_individuals)], axis=0)
+            np.mean([speed_of(i)(rollouts) for i in range(len(of.individuals))], axis=0)
         )
 
-    if is_free(species.roles):  # nothing is reached, and only the film ends
+    if is_free(of.roles):  # nothing is reached, and only the film ends
         yield Quantity("speed", f"{name}/s", all_speeds)
-        if species.num_individuals > 1:
+        if len(of.individuals) > 1:
             yield Quantity("nearest neighbour", name, nearest)
         return
     yield Quantity("reached", "share", lambda rollouts: rollouts.captured.astype(np.float64))
     yield Quantity("duration", "s", seconds)
     yield Quantity("path length", name, paths)
     yield Quantity("mean distance", name, closest)
-    for index, individual in enumerate(species.individuals):
+    for index, individual in enumerate(of.individuals):
         yield Quantity(f"speed of {individual}", f"{name}/s", speed_of(index))

@@ -277,11 +277,14 @@ def _shift_figure(table: pd.DataFrame) -> Figure:
     with figure_style():
         figure, axes = _grid(len(quantities), 2.6, 0.9 + 0.24 * len(scenarios))
         for k, (axis, quantity) in enumerate(zip(axes, quantities)):
-            chosen = table[table["quantity"] == quantity].set_index("scenario").loc[scenarios]
+            chosen = table[table["quantity"] == quantity].set_index("scenario")
             gap = abs(float(chosen["gap"].iloc[0]))
             axis.axvspan(-gap, gap, facecolor=style.LINE.hex, linewidth=0, zorder=0)
             axis.axvline(0.0, color=style.MUTED.hex, linewidth=0.7)
-            for place, (_, row) in enumerate(chosen.iterrows()):
+            for place, scenario in enumerate(scenarios):
+                if scenario not in chosen.index:  # of somebody who is removed in it
+                    continue
+                row = chosen.loc[scenario]
                 if row["warning"] == Caution.RED:
                     axis.axhspan(
                         place - 0.4, place + 0.4, facecolor="none", edgecolor=style.STONE.hex,

@@ -9,8 +9,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from animarl_envs.demos.summary import Unit
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies, SearchSpecies, Species
 
@@ -28,10 +30,8 @@ PLUME = "plume"
 PLUMES = ("model", "continuous", "off")
 AIR = {"wind": "advection_speed", "odour": "threshold"}
 """Constants of the plume model; the threshold goes down as the source's odour goes up."""
-NEEDS_ANOTHER_RUN = {
-    "remove": "num_pursuers with one less",
-    "add": "num_pursuers with one more",
-}
+REMOVE, ADD, START, UNIFORM = "remove", "add", "start", "uniform"
+PLACE = re.compile(rf"({NUMBER})\s*,\s*({NUMBER})\s*([A-Za-z]*)")
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class Change:
         Individuals, for what is theirs; empty for the world.
     what
         ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition``,
-        ``plume``, ``wind``, ``odour`` or another number of the species.
+        ``plume``, ``wind``, ``odour``, ``remove``, ``start`` or another number of the species.
     amount
-        How much; of a condition or a plume its name.
+        How much; of a condition or a plume its name, of a start ``uniform`` or a place.
     text
         As the user wrote it.
     """
@@ -104,6 +104,43 @@ class Scenario:
                 return str(change.amount)
         return None
 
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """Individuals that are taken away."""
+        return tuple(who for one in self.changes if one.what == REMOVE for who in one.who)
+
+    @property
+    def starts(self) -> bool:
+        """Whether somebody starts elsewhere."""
+        return any(change.what == START for change in self.changes)
+
+    def moved(self, demos: Demonstrations, species: Species) -> Demonstrations:
+        """Return the recordings with the starts that are asked for, at rest.
+
+        Raises
+        ------
+        InputError
+            If a start lies outside the field.
+        """
+        positions, velocity = demos.positions.copy(), demos.initial_velocity.copy()
+        first, rng = demos.offsets[:-1], np.random.default_rng(0)
+        for change in self.changes:
+            if change.what != START:
+                continue
+            who = [species.individuals.index(name) for name in change.who]
+            place = _place(str(change.amount), unit_of(demos), change.text)
+            if place is None:
+                assert isinstance(species, ChaseSpecies)
+                species.check_uniform_starts()
+                half = species.start_half_side
+                places = rng.uniform(-half, half, (len(demos), len(who), 2))
+            else:
+                places = np.broadcast_to(place, (len(demos), len(who), 2))
+                if not species.arena.contains(places).all():
+                    raise InputError(f"{change.text!r}: it lies outside the field: start inside")
+            positions[first[:, None], who], velocity[:, who] = places, 0.0
+        return replace(demos, positions=positions, initial_velocity=velocity)
+
     def options(
         self, species: Species, unit: Unit, thrusts: Mapping[str, float] | None = None
     ) -> dict[str, Any]:
@@ -122,7 +159,9 @@ class Scenario:
         for change in sorted(self.changes, key=lambda one: one.what != PLUME):
             if isinstance(change.amount, str):
                 options |= {PLUME: change.amount} if change.what == PLUME else {}
-            elif change.what == "speed":
+                # Warming up would lead back to the recorded start.
+                options |= {"warmup": 0} if change.what == START else {}
+            elif change.what == REMOVE or change.what == "speed":
                 continue
             elif change.what in BODY:
                 for name in change.who:
@@ -189,8 +228,9 @@ def parse_change(text: str, species: Species) -> list[Change]:
     if not (name and equals and value):
         raise InputError(f"{text!r} is no change: give NAME=VALUE, " + known(species))
     who, what = _subject(name, text, species)
-    if what in (CONDITION, PLUME):
-        return [Change(who, what, _choice(what, value, species), text)]
+    if what in (CONDITION, PLUME, REMOVE, START):
+        chosen = _choice(what, value, species, text)
+        return [Change((chosen,) if what == REMOVE else who, what, chosen, text)]
     sweep = SWEEP.fullmatch(value)
     if sweep is None:
         return [Change(who, what, _amount(value, text), text)]
@@ -207,22 +247,24 @@ def parse_change(text: str, species: Species) -> list[Change]:
 
 def known(species: Species) -> str:
     """Return a sentence that lists what can be changed."""
-    kinds = [f"{group}.{what}" for group in _groups(species) for what in BODY]
+    kinds = [f"{group}.{what}" for group in _groups(species) for what in (*BODY, START)]
     return f"where NAME is one of {', '.join([*kinds, *_world_names(species)])}"
 
 
 def _subject(name: str, text: str, species: Species) -> tuple[tuple[str, ...], str]:
     """Whom and what a name means."""
-    if name in NEEDS_ANOTHER_RUN:
+    if name == ADD:
         raise InputError(
-            f"{text!r}: the policies of this run see a fixed number of others, so none can be "
-            f"taken away or added: train a run with {NEEDS_ANOTHER_RUN[name]}"
+            f"{text!r}: every individual of this run has a network of its own with inputs for each "
+            "of the others, so none can be added: train a run with num_pursuers one higher"
         )
+    if name in (START, REMOVE):
+        return species.individuals if name == START else (), name
     if name in _world_names(species):
         return (), name
     group, dot, what = name.rpartition(".")
     groups = _groups(species)
-    if not dot or what not in BODY or group not in groups:
+    if not dot or what not in (*BODY, START) or group not in groups:
         raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
     return groups[group], what
 
@@ -243,7 +285,8 @@ def _groups(species: Species) -> dict[str, tuple[str, ...]]:
 
 def _world_names(species: Species) -> list[str]:
     """What of the world can be changed."""
-    names = ["arena", "contact", "time_limit"] if isinstance(species, ChaseSpecies) else []
+    chase = isinstance(species, ChaseSpecies)
+    names = ["arena", "contact", "time_limit", REMOVE, START] if chase else []
     if isinstance(species, SearchSpecies):
         own = {field.name for field in fields(SearchSpecies)} - {f.name for f in fields(Species)}
         numbers = {name for name in own if isinstance(getattr(species, name), float)}
@@ -253,8 +296,28 @@ def _world_names(species: Species) -> list[str]:
     return names
 
 
-def _choice(what: str, value: str, species: Species) -> str:
-    """A condition or a plume by its name."""
+def _place(value: str, unit: Unit, text: str) -> NDArray[np.float64] | None:
+    """A place [arena unit]; nothing where places are drawn at random."""
+    if value == UNIFORM:
+        return None
+    found = PLACE.fullmatch(value)
+    if found is None or found[3] not in ("", unit.name):
+        raise InputError(
+            f"{text!r}: {value!r} is no place: give {UNIFORM} or x,y such as 0.2,-0.1 (in arena "
+            f"units, or with {unit.name} behind)"
+        )
+    place = np.array([float(found[1]), float(found[2])])
+    return place / unit.per_arena_unit if found[3] else place
+
+
+def _choice(what: str, value: str, species: Species, text: str) -> str:
+    """A condition, a plume or an individual by its name, or a start."""
+    if what == REMOVE and value not in species.individuals:
+        raise InputError(
+            f"{text!r}: there is no {value!r}: remove one of {', '.join(species.individuals)}"
+        )
+    if what == START and value == UNIFORM and not isinstance(species, ChaseSpecies):
+        raise InputError(f"{text!r}: starts of {species.name} are not drawn: give a place x,y")
     if what == CONDITION and value not in species.conditions:
         raise InputError(
             f"condition {value!r} was never recorded: choose one of {', '.join(species.conditions)}"
@@ -312,9 +375,13 @@ def _written(amount: Amount) -> str:
 def _check_once(changes: Iterable[Change]) -> None:
     """Refuse two changes of one thing; speed and thrust of an individual are one thing."""
     seen: dict[tuple[str, str], str] = {}
+    changes = list(changes)
+    gone = {who for change in changes if change.what == REMOVE for who in change.who}
     for change in changes:
         what = "thrust" if change.what == "speed" else change.what
         for who in change.who or ("",):
+            if who in gone and what in BODY:
+                raise InputError(f"{change.text!r} changes {who}, who is removed: leave one out")
             if (who, what) in seen:
                 raise InputError(
                     f"{seen[who, what]!r} and {change.text!r} change the same thing: give one"

@@ -16,6 +16,7 @@ from commands import animarl
 from animarl_algos import load_run
 from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
+from animarl_algos.whatif.absent import FewerWorld, Present
 from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.answer_page import answer_page, words
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
@@ -23,6 +24,7 @@ from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import get_species
+from animarl_envs.worlds import make_world
 from animarl_envs.worlds.plume.plume import ModelPlume
 
 AGENT, MOTH = get_species("agent"), get_species("silkmoth")
@@ -80,7 +82,9 @@ def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:
         (["arena=x1..x2/9", "contact=x1..x2/9"], "81 scenarios are asked for"),
         (["condition=moonlit"], "was never recorded: choose one of individual, shared"),
         (["prey.speed=x2", "all.thrust=x2"], "change the same thing: give one"),
-        (["remove=predator_1"], "train a run with num_pursuers with one less"),
+        (["add=predator"], "train a run with num_pursuers one higher"),
+        (["remove=wolf"], "remove one of predator_0, predator_1, prey"),
+        (["remove=prey", "prey.thrust=x2"], "who is removed: leave one out"),
     ],
 )
 def test_a_change_that_cannot_be_made_is_one_sentence(texts: list[str], said: str) -> None:
@@ -138,6 +142,69 @@ def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: Run) ->
     assert answer.thrusts["prey"] > 1.1  # 20 % more thrust gives less than 20 % more speed
     with pytest.raises(InputError, match=r"no thrust between x0\.125 and x8 brings prey to"):
         ask([chase], ["prey.speed=x30"], repetitions=1)
+
+
+def test_a_pursuer_is_taken_away_and_the_other_catches_less(chase: Run) -> None:
+    found = ask([chase], ["remove=predator_1", "remove=predator_0"], repetitions=2, separately=True)
+    for answer, gone in zip(found.answers, ("predator_1", "predator_0"), strict=True):
+        assert gone not in answer.rollouts.individuals and answer.rollouts.positions.shape[1] == 2
+        assert set(answer.rollouts.outcome) <= {-2, -1, 0, 1}
+        rows = answer.table.set_index("quantity")
+        assert f"speed of {gone}" not in rows.index and len(rows) == 6
+    # The other one alone catches less often than both, and takes longer.
+    assert rows.loc["reached", "high"] < 0 < rows.loc["duration", "low"]
+    with pytest.raises(InputError, match="only a pursuer of one target can"):
+        ask([chase], ["remove=prey"])
+    with pytest.raises(InputError, match="one must be left"):
+        ask([chase], ["remove=predator_0", "remove=predator_1"])
+    page = answer_page(found)
+    assert page.player is not None
+    (panel,) = [v["panels"][1] for v in page.player.data["views"] if v["key"] == "change-0"]
+    assert [one["name"] for one in panel["world"]["individuals"]] == ["predator_0", "prey"]
+
+
+def test_the_absent_are_seen_far_away_and_the_others_as_ever(chase: Run) -> None:
+    species = chase.scenario.species
+    present = Present.without(species, ["predator_1"])
+    test = chase.demos.select(split="test")
+    scenario = chase.starting_from(
+        "test", demos=present.demonstrations(chase.demos), species=present.species
+    )
+    world = FewerWorld(scenario, 3, present, farthest=1.5)
+    whole = make_world(chase.starting_from("test"), 3)
+    for one in (world, whole):
+        one.reset(demo=np.arange(3))
+    names = [component.name for component in whole.observation_components]
+    assert world.observation.shape == (3, 2, len(names))
+    of_absent = np.array([name.startswith("other 2") for name in names])
+    # The prey sees the pursuer that is there as it would beside another, if that is nearest.
+    start = test.positions[test.offsets[:3]]
+    apart = np.linalg.norm(start[:, :2] - start[:, 2:], axis=-1)
+    for copy in range(3):
+        distance = names.index("other 2 distance")
+        for k in (0, 1):
+            assert world.observation[copy, k, distance] >= 1.5 - apart[copy, 0] - 1e-6
+        pursuer = world.observation[copy, 0, ~of_absent]
+        assert np.allclose(pursuer, whole.observation[copy, 0, ~of_absent], atol=1e-6)
+        if apart[copy, 0] < apart[copy, 1]:
+            prey = world.observation[copy, 1, ~of_absent]
+            assert np.allclose(prey, whole.observation[copy, 2, ~of_absent], atol=1e-6)
+
+
+def test_starts_are_changed_and_lie_in_the_field(chase: Run) -> None:
+    texts = ["start=uniform", "prey.start=0.2,-0.4"]
+    uniform, placed = ask([chase], texts, repetitions=1, separately=True).answers
+    begins = uniform.rollouts.positions[uniform.rollouts.offsets[:-1]]
+    half = AGENT.start_half_side
+    assert np.abs(begins).max() <= half and begins.std(axis=0).min() > 0.4 * half
+    begins = placed.rollouts.positions[placed.rollouts.offsets[:-1]]
+    test = chase.demos.select(split="test")
+    assert np.allclose(begins[:, 2], [0.2, -0.4], atol=1e-5)
+    recorded = test.positions[test.offsets[:-1]][placed.rollouts.demo]
+    assert np.allclose(begins[:, :2], recorded[:, :2], atol=1e-5)
+    for text, said in [("prey.start=7,7", "outside the field"), ("prey.start=x", "is no place")]:
+        with pytest.raises(InputError, match=said):
+            ask([chase], [text])
 
 
 def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: Run) -> None:

@@ -1,0 +1,264 @@
+"""Pursuers that are taken away: the world without them, as policies see it that learned with them.
+
+A trained network has inputs for each of the others. The absent one is shown to it far away: beyond
+the pursuer that is nearest to the target, farther from the target than 95 % of the pursuers in
+training, moving as that pursuer does. So nobody is driven anywhere by somebody who is not there,
+and the inputs stay near the training range; how near, the warning says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.collect import Cue, Policy
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.errors import InputError
+from animarl_envs.focus import FALLBACK
+from animarl_envs.scenario import Condition, Scenario
+from animarl_envs.species import ChaseSpecies, Species
+from animarl_envs.species.base import Reading
+from animarl_envs.species.options import change_world
+from animarl_envs.worlds.chase import senses
+from animarl_envs.worlds.chase.headings import bodies_of
+from animarl_envs.worlds.chase.layout import observation_components
+from animarl_envs.worlds.chase.neighbours import neighbours_of
+from animarl_envs.worlds.chase.world import ChaseWorld
+
+FARTHEST = 0.95  # quantile of the distances of pursuers from the target in training
+ASIDE = np.deg2rad(20.0)  # exactly behind somebody nobody ever was: that alone would be new
+
+
+@dataclass(frozen=True)
+class Present:
+    """Who of the individuals of a species is there.
+
+    Raises
+    ------
+    InputError
+        If somebody is taken away who is no pursuer of a target, or the last one.
+    """
+
+    everybody: ChaseSpecies
+    own: tuple[int, ...]
+
+    @classmethod
+    def without(cls, species: Species, absent: Sequence[str]) -> Present:
+        """Return those who are left."""
+        names = species.individuals
+        pursuers = [n for n, role in zip(names, species.roles, strict=True) if role == "pursuer"]
+        one_target = isinstance(species, ChaseSpecies) and not (
+            species.free or species.lone_pursuer
+        )
+        left = [name for name in pursuers if name not in absent]
+        if not one_target or not set(absent) <= set(pursuers) or not left:
+            raise InputError(
+                f"{', '.join(absent)} cannot be removed: only a pursuer of one target can, and one "
+                "must be left; train a run without it"
+            )
+        assert isinstance(species, ChaseSpecies)
+        if species.has_headings:
+            raise InputError(
+                f"{', '.join(absent)} cannot be removed, because headings of the others are "
+                "perceived: train a run without it"
+            )
+        return cls(species, tuple(i for i, name in enumerate(names) if name not in absent))
+
+    @property
+    def species(self) -> ChaseSpecies:
+        """The species of those who are left."""
+        whole = self.everybody
+        return replace(
+            whole,
+            individuals=tuple(whole.individuals[i] for i in self.own),
+            locomotion=tuple(whole.locomotion[i] for i in self.own),
+            turning=whole.turning and tuple(whole.turning[i] for i in self.own),
+            sense_scales=whole.sense_scales and whole.sense_scales.select(self.own),
+        )
+
+    def demonstrations(self, demos: Demonstrations) -> Demonstrations:
+        """Return the recordings of those who are left, for their starts."""
+        own, everybody = list(self.own), demos.num_individuals
+        outcome = demos.outcome.copy()
+        for k in np.unique(outcome[outcome > 0]).tolist():
+            there = k - 1 in own
+            outcome[demos.outcome == k] = own.index(k - 1) + 1 if there else UNFINISHED
+        return replace(
+            demos,
+            individuals=tuple(demos.individuals[i] for i in own),
+            roles=tuple(demos.roles[i] for i in own),
+            positions=demos.positions[:, own],
+            initial_velocity=demos.initial_velocity[:, own],
+            outcome=outcome,
+            signals={
+                key: value[:, own] if value.shape[1:2] == (everybody,) else value
+                for key, value in demos.signals.items()
+            },
+        )
+
+
+def simulate_from(
+    run: Any,
+    demos: Demonstrations,
+    absent: Sequence[str] = (),
+    *,
+    reading: Reading,
+    told: Cue = "actual",
+    condition: Condition = "demo",
+    repetitions: int = 5,
+    wrap: Callable[[Policy], Policy] = lambda policy: policy,
+    **options: Any,
+) -> Rollouts:
+    """Return rollouts as :meth:`animarl_algos.runs.run.Run.simulate` does, from other starts.
+
+    ``demos`` have the starts, ``absent`` are taken away.
+    """
+    species, make, act = change_world(run.scenario.species, reading, **options), None, wrap
+    if absent:
+        present = Present.without(species, absent)
+        demos, species = present.demonstrations(demos), present.species
+        farthest = farthest_pursuer(run.demos.select(split="train"))
+
+        def act(policy: Policy) -> Policy:
+            return wrap(SubsetPolicy(policy, present))
+
+    scenario = run.starting_from("test", condition, demos=demos, species=species)
+    if absent:
+        make = partial(FewerWorld, scenario, present=present, farthest=farthest)
+    rollouts: Rollouts = run.roll_out(
+        run.policy,
+        "what if",
+        told if run.told_condition else None,
+        scenario=scenario,
+        repetitions=repetitions,
+        wrap=act,
+        make=make,
+    )
+    return rollouts
+
+
+def farthest_pursuer(demos: Demonstrations) -> float:
+    """Return from how far on pursuers count as far from the target [arena unit]."""
+    apart = np.linalg.norm(demos.positions[:, :-1] - demos.positions[:, -1:], axis=-1)
+    return float(np.quantile(apart, FARTHEST))
+
+
+class FewerWorld(ChaseWorld):
+    """A chase of those who are left; observations are those of everybody's policies.
+
+    Parameters
+    ----------
+    scenario
+        Of those who are left.
+    present
+        Who they are among everybody.
+    farthest
+        Where the absent are shown: so far from the target [arena unit].
+    """
+
+    def __init__(
+        self, scenario: Scenario, num_copies: int, present: Present, farthest: float
+    ) -> None:
+        super().__init__(scenario, num_copies)
+        if self._disturbed:
+            raise InputError("somebody is removed, but senses are noisy or late: leave one out")
+        everybody, self._farthest = present.everybody, farthest
+        self._own, K = list(present.own), everybody.num_individuals
+        self._absent = [i for i in range(K) if i not in self._own]
+        there = np.isin(np.arange(K), self._own)
+        self._all_senses = senses.senses_of(everybody, there)
+        self._all_neighbours = neighbours_of(everybody, num_copies)
+        self._all_bodies = bodies_of(everybody, num_copies)
+        self._shown = np.zeros(
+            (K, len(observation_components(everybody)), num_copies), dtype=np.float32
+        )
+
+    def _start(self, mask: NDArray[np.bool_]) -> None:
+        super()._start(mask)
+        self._show()
+
+    def _advance(self, actions: NDArray[np.integer]) -> None:
+        super()._advance(actions)
+        self._show()
+
+    def _show(self) -> None:
+        """Make the observations of those who are left, with the absent far away."""
+        nearest, place = self._place_of_absent()
+        copies = np.arange(self.num_copies)
+        position, velocity, acceleration = (
+            self._with_absent(own) for own in (self._position, self._velocity, self._acceleration)
+        )
+        position[self._absent] = place.T
+        velocity[self._absent] = self._velocity[nearest, :, copies].T
+        past = np.zeros((len(self._past), *position.shape))
+        past[:, self._own] = self._past
+        towards = np.zeros_like(position)
+        senses.observe(
+            position, velocity, acceleration, past, self.step_count, towards, self._all_bodies,
+            self._all_neighbours, self._all_senses, self._shown,
+        )  # fmt: skip
+        self.observation = np.ascontiguousarray(self._shown[self._own].transpose(2, 0, 1))
+
+    def _place_of_absent(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """The pursuer nearest to the target in each copy, and the place beyond it ``(B, 2)``."""
+        target = self._position[-1]
+        away = self._position[:-1] - target
+        apart = np.linalg.norm(away, axis=1)
+        nearest, copies = apart.argmin(axis=0), np.arange(self.num_copies)
+        ahead, length = away[nearest, :, copies], apart[nearest, copies][:, None]
+        direction = np.where(length > 0, ahead / np.maximum(length, 1e-12), FALLBACK)
+        turn = np.array([[np.cos(ASIDE), np.sin(ASIDE)], [-np.sin(ASIDE), np.cos(ASIDE)]])
+        return nearest, target.T + direction @ turn * np.maximum(length, self._farthest)
+
+    def _with_absent(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
+        whole = np.zeros((len(self._shown), *own.shape[1:]))
+        whole[self._own] = own
+        return whole
+
+
+class SubsetPolicy:
+    """A policy of everybody that is asked for those who are left.
+
+    The absent draw actions too, so that the random numbers of the others stay what they were.
+    """
+
+    def __init__(self, policy: Policy, present: Present) -> None:
+        self.policy, self.own = policy, np.array(present.own)
+        self.source = np.zeros(present.everybody.num_individuals, dtype=np.int64)
+        self.source[self.own] = np.arange(len(self.own))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.policy, name)
+
+    def _for_all(self, of_own: Any) -> Any:
+        slots = np.asarray(of_own)
+        each = slots.reshape(-1, len(self.own), *slots.shape[1:])
+        return np.ascontiguousarray(each[:, self.source]).reshape(-1, *slots.shape[1:])
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Return the actions of those who are left, and everybody's state."""
+        actions, state = self.policy.predict(
+            self._for_all(observation), state, self._for_all(episode_start), deterministic
+        )
+        return np.asarray(actions).reshape(-1, len(self.source))[:, self.own].ravel(), state
+
+    def remember(self, state: Any, executed: NDArray[np.integer]) -> Any:
+        inner = getattr(self.policy, "remember", None)
+        return state if inner is None else inner(state, self._for_all(executed))
+
+    def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
+        inner = getattr(self.policy, "leave_out", None)
+        return state if inner is None else inner(state, self._for_all(over))
