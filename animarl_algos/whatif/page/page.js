@@ -470,6 +470,7 @@
   let timer = 0;
   function changed() {
     found = null;
+    $("progress").textContent = "The changed world is simulated ...";
     stop();
     begin();
     clearTimeout(timer);
