@@ -2,7 +2,8 @@
 
 Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0``,
 ``AnimaRL/Silkmoth-v0``, ``AnimaRL/Solo-v0``, ``AnimaRL/Shoal-v0`` and, for your own demonstrations,
-``AnimaRL/Custom-v0`` with Gymnasium;
+``AnimaRL/Custom-v0`` with Gymnasium, and ``AnimaRL/SilkmothMemory-v0``, whose moth senses nothing
+but the odour;
 ``parallel_env("agent")`` is the same world with all individuals acting, as a PettingZoo
 environment, which is registered there too: ``pettingzoo.make("parallel", "AnimaRL/Agent-v0")``.
 """
@@ -66,6 +67,12 @@ def _register() -> None:
                 entry_point="animarl_envs.views.parallel:AnimalParallelEnv",
                 kwargs={"species": name},
             )
+    gym.register(
+        id="AnimaRL/SilkmothMemory-v0",
+        entry_point="animarl_envs.views.single:AnimalEnv",
+        vector_entry_point="animarl_envs.views.vector:AnimalVectorEnv",
+        kwargs={"species": "silkmoth", "observation": "odour"},
+    )
 
 
 _register()

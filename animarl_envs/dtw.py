@@ -197,8 +197,8 @@ class DTWTracker:
             raise InputError(f"penalty is {kind!r}: choose {', '.join(self.KINDS)}")
         if demos is None:
             raise InputError(
-                "the DTW reward compares with demonstrations, but the environment has none: "
-                "give it demos="
+                "the DTW reward compares with demonstrations, but episodes start without any: make "
+                "the environment with recorded=True, or give it demos="
             )
         self.kind, self.scale = kind, scale
         self.individuals = np.asarray(individuals, dtype=np.int64)

@@ -30,6 +30,7 @@ from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import COMPACT, SPECIES, ChaseSpecies, Species
+from animarl_envs.views.common import TASKS, TIME_COST, task_options
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import ObservationComponent, World
 
@@ -46,6 +47,7 @@ def page(species: Species) -> str:
     parts = [
         f"# {species.title}: `{env_id}`",
         NOTICE,
+        *task(species),
         *paragraphs(title, more),
         f"![{species.title}](../images/{species.name}.png)",
         *caption(species.name),
@@ -82,6 +84,20 @@ def page(species: Species) -> str:
         f"Source: {species.source}.",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def task(species: Species) -> list[str]:
+    """What the defaults change of the recorded world, where there is a task."""
+    if kind(species) == "free":
+        return []
+    own = TASKS.get(species.name, {})
+    changed = "".join(f", `{name}={value!r}`" for name, value in own.items())
+    others = "the others follow their script, " if species.num_individuals > 1 else ""
+    return [
+        f"By default it is a task for reinforcement learning: {others}time costs "
+        f"(`time_cost={TIME_COST:g}`){changed}. `recorded=True` gives the world of the recordings "
+        "instead, without any of this; the learners that imitate have it."
+    ]
 
 
 def kind(species: Species) -> str:
@@ -281,6 +297,8 @@ def option_defaults(species: Species) -> dict[str, str]:
     for field in fields(species):
         if field.name not in hidden | {"version_history"}:
             shown[field.name] = repr(getattr(species, field.name))
+    if kind(species) != "free":
+        shown |= {name: repr(value) for name, value in task_options(species, {}).items()}
     return shown | {"observation": repr(COMPACT)}
 
 

@@ -19,8 +19,12 @@ NOTES: dict[str, tuple[str, str]] = {
     "others": (
         "`'replay'`, `'scripted'`, `'coast'`, a function from observations to actions, or a "
         "mapping from names to these",
-        "how the others move; by default they replay their demonstration, or follow their script "
-        "if there is none",
+        "how the others move; by default they follow their script, with `recorded` they replay "
+        "their demonstration",
+    ),
+    "recorded": (
+        "`True`, `False`",
+        "the world of the recordings, as learners that imitate have it, instead of the task",
     ),
     "render_mode": ("`'rgb_array'`, `'human'`, `None`", "pictures as arrays or in a window"),
     "demos": (
@@ -88,6 +92,7 @@ NOTES: dict[str, tuple[str, str]] = {
         "the paper's counterfactual: true condition of the world, and condition that policies get",
     ),
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
+    "time_cost": (NOT_NEGATIVE, "what a whole episode costs a pursuer or searcher, in captures"),
     "name": ("a word", "its name"),
     "title": ("text", "shown in pictures"),
     "individuals": (
@@ -180,10 +185,19 @@ FREE_ONLY: dict[str, tuple[str, str]] = {
 }
 
 SEARCH_ONLY: dict[str, tuple[str, str]] = {
+    "observation": (
+        "`'compact'`, `'full'`, `'paper'`, `'odour'`",
+        "the components above, all, those of the paper, or the two hits of the present step alone "
+        "(`AnimaRL/SilkmothMemory-v0`: a task for policies with a memory)",
+    ),
     "metres_per_unit": (POSITIVE, "length of an arena unit [m]"),
     "start_distance": (
         POSITIVE,
         "distance of the start downwind of the source, without a demonstration",
+    ),
+    "start_region": (
+        "none, or lowest x, highest x, highest |y|",
+        "starts without a demonstration are uniform in it, away from the source",
     ),
     "antenna_length": (POSITIVE, "distance of the antennae's tips ahead of the body's centre"),
     "antenna_angle": ("0 to 90", "angle of the antennae to either side [deg]"),

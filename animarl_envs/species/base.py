@@ -18,7 +18,6 @@ from animarl_envs.locomotion import Locomotion
 from animarl_envs.species.traits import Traits
 
 COMPACT = "compact"
-OBSERVATIONS = (COMPACT, "full", "paper")
 PLAIN_BODY = "animal"
 BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
 """Looks of an individual; :mod:`animarl_envs.drawing.palette` draws them."""
@@ -59,6 +58,7 @@ class Species(ABC):
     length_unit: ClassVar[str] = "arena unit"
     condition_is_sensed: ClassVar[bool] = False
     pretrained_main: ClassVar[bool] = True
+    observations: ClassVar[tuple[str, ...]] = (COMPACT, "full", "paper")
 
     name: str
     title: str
@@ -71,7 +71,8 @@ class Species(ABC):
     warmup: int = 0  # steps replayed from the demonstration
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
     boundary_penalty: float = field(default=-10.0, metadata={"least": (-1e300, "a number")})
-    observation: str = "full"  # one of OBSERVATIONS; what is made by a name is "compact"
+    time_cost: float = or_zero(0.0)  # what a whole episode costs pursuer or searcher, in captures
+    observation: str = "full"  # one of ``observations``; what is made by a name is "compact"
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     traits: Traits | None = None  # in which individuals differ; None: they are all alike
     mirror_symmetric: bool = True  # left and right are alike to it
@@ -117,10 +118,10 @@ class Species(ABC):
         if not named or len(given) not in (0, 2):
             raise InputError(f"conditions are {given!r}: give two names, or none")
         object.__setattr__(self, "conditions", tuple(str(name) for name in given))
-        if self.observation not in OBSERVATIONS:
+        if self.observation not in self.observations:
             raise InputError(
                 f"observation is {self.observation!r}: "
-                f"choose one of {', '.join(map(repr, OBSERVATIONS))}"
+                f"choose one of {', '.join(map(repr, self.observations))}"
             )
         scales = self.sense_scales
         if scales is not None and (
@@ -176,6 +177,11 @@ class Species(ABC):
     def goal(self) -> str:
         """Return in words whom or what the others head for."""
         return self.individuals[-1]
+
+    @property
+    def step_cost(self) -> float:
+        """What each step costs a pursuer or searcher."""
+        return self.time_cost / self.time_limit
 
     def _check_numbers(self) -> None:
         """Check fields by their type: ``bool``, and ``float``, which is finite and positive.

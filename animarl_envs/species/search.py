@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from animarl_envs.checks import is_whole
+from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species, or_zero
 from animarl_envs.species.turning import Turning, as_turning
@@ -26,9 +27,11 @@ class SearchSpecies(Species):
     length_unit: ClassVar[str] = "metre"
     condition_is_sensed: ClassVar[bool] = True
     pretrained_main: ClassVar[bool] = False
+    observations: ClassVar[tuple[str, ...]] = (*Species.observations, "odour")
 
     metres_per_unit: float = 1.0  # the plume is in metres
     start_distance: float = 0.3  # downwind of the source [arena unit]
+    start_region: tuple[float, ...] = ()  # or anywhere: lowest and highest x, and highest |y|
     antenna_length: float = 0.013  # ahead of the body centre [arena unit]
     antenna_angle: float = or_zero(19.0)  # to either side [deg]
     antenna_radius: float = or_zero(0.0025)  # within which it senses the plume [arena unit]
@@ -57,6 +60,7 @@ class SearchSpecies(Species):
                 f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
             )
         object.__setattr__(self, "turning", as_turning(self.turning, "turning"))
+        object.__setattr__(self, "start_region", self._checked_region())
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)
             listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)
@@ -69,6 +73,21 @@ class SearchSpecies(Species):
             from animarl_envs.worlds.plume.plume import as_plume  # the model is made when needed
 
             as_plume(self.plume)
+
+    def _checked_region(self) -> tuple[float, ...]:
+        given: Any = self.start_region
+        listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+        if listed and len(given) == 0:
+            return ()
+        if listed and len(given) == 3 and all(map(is_number, given)):
+            low, high, width = map(float, given)
+            farthest = math.hypot(max(abs(low), abs(high)), width)
+            if low < high and 0.0 < width < math.inf and 2.0 * self.contact_radius < farthest < 1e6:
+                return low, high, width
+        raise InputError(
+            f"start_region is {given!r}: give the lowest and the highest x and the highest |y| of "
+            f"starts, some of them farther than {2.0 * self.contact_radius:g} from the source"
+        )
 
     @property
     def roles(self) -> tuple[str, ...]:

@@ -21,12 +21,30 @@ from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
-from animarl_envs.species import COMPACT, SearchSpecies, Species
+from animarl_envs.species import (
+    COMPACT,
+    SPECIES,
+    ChaseSpecies,
+    SearchSpecies,
+    Species,
+    species_name,
+)
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
+
+TASKS: dict[str, dict[str, Any]] = {
+    "agent": {"rebound": True},
+    "fly": {"contact_radius": 0.1},
+    "silkmoth": {"start": "uniform", "start_region": (-0.1, 0.4, 0.25)},
+}
+"""What the views change of a species by default, so that one constant action does not solve its
+task; :func:`task_options` has what they change of all. ``docs/results/tasks`` has the scores."""
+TIME_COST = 0.5  # of a whole episode [captures]
+CLASHES = {"rebound": ("arena", "boundary", "boundary_penalty"), "start": ("demos",)}
+"""Options that, when given, leave a default of :data:`TASKS` out."""
 
 Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
 
@@ -111,11 +129,12 @@ class FocalView(View):
         num_copies: int,
         focal: str | None,
         others: Others,
+        recorded: bool,
         render_mode: str | None,
         options: dict[str, Any],
     ) -> None:
         scenario, self.focal_index, self._policies = focal_scenario(
-            type(self), species, focal, others, options
+            type(self), species, focal, others, recorded, options
         )
         self._build(scenario, num_copies, render_mode, {self.focal_index, *self._policies})
 
@@ -148,8 +167,27 @@ def viewed_scenario(species: Species | str, options: Mapping[str, Any]) -> Scena
     return make_scenario(species, **(usual | dict(options)))
 
 
+def task_options(species: Species | str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a task for reinforcement learning, where the caller does not say."""
+    name = species_name(species if isinstance(species, str) else species.name)
+    known = SPECIES.get(name) if isinstance(species, str) else species
+    if isinstance(known, ChaseSpecies) and known.free:
+        return dict(options)  # where nobody is pursued nothing is to be reached
+    own = {
+        key: value
+        for key, value in TASKS.get(name, {}).items()
+        if options.keys().isdisjoint(CLASHES.get(key, ()))
+    }
+    return {"time_cost": TIME_COST, **own, **options}
+
+
 def focal_scenario(
-    view: type, species: Species | str, focal: str | None, others: Others, options: dict[str, Any]
+    view: type,
+    species: Species | str,
+    focal: str | None,
+    others: Others,
+    recorded: bool,
+    options: dict[str, Any],
 ) -> tuple[Scenario, int, dict[int, PolicyFunction]]:
     """Make the scenario of a ``view`` with one focal individual.
 
@@ -161,6 +199,7 @@ def focal_scenario(
             "drivers is an option of parallel_env: say with focal who acts and with others what "
             "moves the rest"
         )
+    options = options if recorded else task_options(species, options)
     with also_list_options_of(view.__init__, without=("drivers",)):  # type: ignore[misc]
         scenario = viewed_scenario(species, options)
     names = scenario.names
@@ -168,7 +207,8 @@ def focal_scenario(
     if focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
     rest = [name for name in names if name != focal]
-    usual: Any = "replay" if scenario.paired else "scripted"
+    pursued = "target" in scenario.species.roles  # of free animals a rule would say little
+    usual: Any = "replay" if scenario.paired and (recorded or not pursued) else "scripted"
     if isinstance(others, Mapping):
         unknown = sorted(set(others) - set(rest))
         if unknown:

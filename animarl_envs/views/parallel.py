@@ -21,6 +21,7 @@ from animarl_envs.views.common import (
     checked_limit,
     cut_after,
     observation_space,
+    task_options,
     viewed_scenario,
 )
 
@@ -35,6 +36,9 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
     ----------
     species
         A species or its name.
+    recorded
+        Whether the world is that of the recordings or a task, as in
+        :class:`~animarl_envs.views.single.AnimalEnv`.
     render_mode
         ``"rgb_array"``, ``"human"`` or ``None``.
     max_cycles
@@ -62,10 +66,12 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self,
         species: Species | str,
         *,
+        recorded: bool = False,
         render_mode: str | None = None,
         max_cycles: int | None = None,
         **options: Any,
     ) -> None:
+        options = options if recorded else task_options(species, options)
         with also_list_options_of(AnimalParallelEnv.__init__):
             scenario = viewed_scenario(species, options)
         self.max_cycles = checked_limit("max_cycles", max_cycles)

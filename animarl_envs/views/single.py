@@ -38,7 +38,14 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
     others
         ``"replay"`` (their demonstration; they coast when it ends), ``"scripted"``, ``"coast"``, a
         function from observations ``(B, n)`` to actions ``(B,)``, or a mapping from names to these.
-        By default they replay if episodes start from demonstrations, else follow their script.
+        By default they follow their script; free animals, and with ``recorded`` all, replay
+        where episodes start from demonstrations.
+    recorded
+        ``True``: the world of the recordings, as learners that imitate have it. ``False``: a task
+        for reinforcement learning, whose defaults differ
+        (:func:`~animarl_envs.views.common.task_options`): opponents that act, a small cost of
+        time, walls for the agents, a smaller contact radius for the flies, starts of the moth
+        anywhere around the source.
     render_mode
         ``"rgb_array"``, ``"human"`` or ``None``.
     options
@@ -78,10 +85,11 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         *,
         focal: str | None = None,
         others: Others = None,
+        recorded: bool = False,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self._build_focal(species, 1, focal, others, render_mode, options)
+        self._build_focal(species, 1, focal, others, recorded, render_mode, options)
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
         self._running = False

@@ -1,8 +1,8 @@
 """Simple scripted rules, for individuals that no learner drives.
 
-A pursuer accelerates straight at the target (of several, at the nearest). A target looks a few
-steps ahead along each of its actions and takes the one that leaves it farthest from pursuers and
-walls.
+A pursuer accelerates straight at the target (of several, at the nearest). A target looks ahead
+along each of its actions and takes the one that leaves it farthest from walls, and from pursuers
+who accelerate straight at where it is now.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit
-from animarl_envs.kinematics import next_velocity
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
-LOOKAHEAD = 6  # [steps] that the target looks ahead, the action held
+LOOKS = 3  # a target looks ahead by thirds of the time in which its thrust carries it half a size
+WALL_WEIGHT = 10.0  # of the walls' cost, beside (size / distance)^2 of each pursuer
+SOFTENING = 0.0025  # added to the squared distance in sizes, which may be zero
 WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
 
 
@@ -33,6 +34,19 @@ def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
         depth = max(0.0, math.sqrt(x * x + y * y) - size + margin) / margin
         return depth * depth
     return 0.0
+
+
+@nb.njit(inline="always")
+def _reach(damping, thrust, dt, steps):  # type: ignore[no-untyped-def]
+    """How far velocity 1 carries in so many steps, and how far a unit action that is held.
+
+    The sums of v' = (1 - d) v + u a dt and p' = p + v' dt.
+    """
+    if damping < 1e-9:
+        return steps * dt, thrust * dt * dt * steps * (steps + 1.0) / 2.0
+    kept = 1.0 - damping
+    carried = dt * kept * (1.0 - kept**steps) / damping
+    return carried, thrust * dt * (steps * dt - carried) / damping
 
 
 @jit
@@ -51,30 +65,41 @@ def decide(  # type: ignore[no-untyped-def]
     if (i == last) == lone:
         return
     first_pursuer, end = (last, K) if lone else (0, last)
-    px, py, cost, lowest = np.empty(B), np.empty(B), np.empty(B), np.full(B, math.inf)
+    square = size * size
+    steps = np.ceil(np.sqrt(size / thrust[i]) / dt)
+    cost, lowest = np.empty(B), np.full(B, math.inf)
+    own = np.empty((LOOKS, 2))
+    theirs = np.empty((LOOKS, end - first_pursuer, 2, B))  # where each pursuer will be
+    for look in range(LOOKS):
+        until = max(1.0, np.floor((look + 1) * steps / LOOKS))
+        own[look] = _reach(damping[i], thrust[i], dt, until)
+        for j in range(first_pursuer, end):
+            carried, pushed = _reach(damping[j], thrust[j], dt, until)
+            for b in range(B):
+                to_x = position[i, 0, b] - position[j, 0, b]
+                to_y = position[i, 1, b] - position[j, 1, b]
+                chase = pushed / (math.sqrt(to_x * to_x + to_y * to_y) + 1e-9)
+                x = position[j, 0, b] + carried * velocity[j, 0, b] + chase * to_x
+                y = position[j, 1, b] + carried * velocity[j, 1, b] + chase * to_y
+                theirs[look, j - first_pursuer, 0, b] = x
+                theirs[look, j - first_pursuer, 1, b] = y
     for k in range(pushes.shape[2]):
         ahead = pushes[i, 0, k]
         left = pushes[i, 1, k]
         for b in range(B):
-            ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
-            ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
-            x = position[i, 0, b]
-            y = position[i, 1, b]
-            vx = velocity[i, 0, b]
-            vy = velocity[i, 1, b]
-            for _ in range(LOOKAHEAD):
-                vx = next_velocity(vx, ax, damping, thrust, dt)
-                vy = next_velocity(vy, ay, damping, thrust, dt)
-                x += vx * dt
-                y += vy * dt
-            px[b] = x
-            py[b] = y
-            cost[b] = 10.0 * wall_cost(x, y, shape, size)
-        for j in range(first_pursuer, end):
+            cost[b] = 0.0
+        for look in range(LOOKS):
+            carried, pushed = own[look]
             for b in range(B):
-                dx = position[j, 0, b] + velocity[j, 0, b] * LOOKAHEAD * dt * 0.5 - px[b]
-                dy = position[j, 1, b] + velocity[j, 1, b] * LOOKAHEAD * dt * 0.5 - py[b]
-                cost[b] += 1.0 / (math.sqrt(dx * dx + dy * dy) + 0.05 * size)
+                x = position[i, 0, b] + carried * velocity[i, 0, b]
+                y = position[i, 1, b] + carried * velocity[i, 1, b]
+                x += pushed * (ahead * towards[i, 0, b] - left * towards[i, 1, b])
+                y += pushed * (ahead * towards[i, 1, b] + left * towards[i, 0, b])
+                cost[b] += WALL_WEIGHT * wall_cost(x, y, shape, size)
+                for j in range(end - first_pursuer):
+                    dx = theirs[look, j, 0, b] - x
+                    dy = theirs[look, j, 1, b] - y
+                    cost[b] += square / (dx * dx + dy * dy + SOFTENING * square)
         for b in range(B):
             better = cost[b] < lowest[b]
             actions[i, b] = k if better else actions[i, b]

@@ -195,20 +195,21 @@ def id_of(species: str) -> str:
 
 
 def worlds() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
-    """Every species through every view: as it is, as in the paper, and wrapped."""
+    """Every species through every view: as a task, as recorded, as in the paper, and wrapped."""
     for species, spec in SPECIES.items():
         for view, (make, walk, dtw, flag) in VIEWS.items():
             kinds: dict[str, Callable[..., Any]] = {
-                "full": lambda s, make=make: make(s),
-                "paper": lambda s, make=make: make(s, observation="paper"),
-                "dtw": lambda s, make=make, dtw=dtw: dtw(make(s)),
+                "task": lambda s, make=make: make(s),
+                "full": lambda s, make=make: make(s, recorded=True),
+                "paper": lambda s, make=make: make(s, recorded=True, observation="paper"),
+                "dtw": lambda s, make=make, dtw=dtw: dtw(make(s, recorded=True)),
             }
             if view != "parallel":
-                kinds["scripted"] = lambda s, make=make: make(s, others="scripted")
+                kinds["scripted"] = lambda s, make=make: make(s, recorded=True, others="scripted")
             if len(spec.individuals) > 1 and view == "vector":
-                kinds["crowd"] = lambda s, make=make: make(s, **CROWD)
+                kinds["crowd"] = lambda s, make=make: make(s, recorded=True, **CROWD)
             if spec.conditions:
-                kinds["flag"] = lambda s, make=make, flag=flag: flag(make(s))
+                kinds["flag"] = lambda s, make=make, flag=flag: flag(make(s, recorded=True))
             for kind, made in kinds.items():
                 yield (
                     f"{species} {view} {kind}",

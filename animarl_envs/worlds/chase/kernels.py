@@ -89,9 +89,9 @@ def _touches(i, b, position, contact_radius):  # type: ignore[no-untyped-def]
 ChaseState = namedtuple(
     "ChaseState",
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
-    "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty field "
-    "walled lone free shoaling position velocity acceleration past towards bodies traits "
-    "own_traits neighbours nearest code components reward observation senses",
+    "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty "
+    "step_cost field walled lone free shoaling position velocity acceleration past towards bodies "
+    "traits own_traits neighbours nearest code components reward observation senses",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
 are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
@@ -153,7 +153,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     else:
         judge(
             position, state.sharing, field, state.walled, lone, state.contact_radius, dt,
-            state.penalty, state.nearest, code, state.components, state.reward,
+            state.penalty, state.step_cost, state.nearest, code, state.components, state.reward,
         )  # fmt: skip
     for b in range(B):
         outcome[b] = code[b]
@@ -180,8 +180,8 @@ def drive(  # type: ignore[no-untyped-def]
                 actions[i, b] = coast
         elif drivers[i] == SCRIPTED:
             decide(
-                i, position, velocity, towards, damping[i], thrust[i], pushes, dt, field[0],
-                field[1], lone, actions,
+                i, position, velocity, towards, damping, thrust, pushes, dt, field[0], field[1],
+                lone, actions,
             )  # fmt: skip
 
 
@@ -244,8 +244,8 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
 
 @part
 def judge(  # type: ignore[no-untyped-def]
-    position, sharing, field, walled, lone, contact_radius, dt, penalty, nearest, code, components,
-    reward,
+    position, sharing, field, walled, lone, contact_radius, dt, penalty, step_cost, nearest, code,
+    components, reward,
 ):  # fmt: skip
     """Contact, then boundary (where there are no walls), then rewards.
 
@@ -287,6 +287,7 @@ def judge(  # type: ignore[no-untyped-def]
     if lone:  # a touch is the pursuer's
         for b in range(B):
             components[last, TOUCH, b] = 1.0 if code[b] > 0 else 0.0
+            components[last, ELAPSED, b] = 0.0 - step_cost
         for i in range(last):
             for b in range(B):
                 lost = components[i, TOUCH, b] != 0.0 or components[i, BOUNDARY, b] != 0.0
@@ -296,6 +297,9 @@ def judge(  # type: ignore[no-untyped-def]
         for b in range(B):  # the target is paid for every step that it lasts
             lost = code[b] > 0 or code[b] == TARGET_OUT
             components[last, ELAPSED, b] = 0.0 if lost else dt
+        for i in range(last):
+            for b in range(B):
+                components[i, ELAPSED, b] = 0.0 - step_cost
     for i in range(K):
         for b in range(B):
             reward[i, b] = (

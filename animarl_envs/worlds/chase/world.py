@@ -37,7 +37,8 @@ class ChaseWorld(World):
     """Batched chase; see :class:`animarl_envs.worlds.base.World` for the arrays.
 
     Rewards: ``touch`` +1 to a pursuer that touches the target (with shared reward, condition 1, to
-    every pursuer); ``elapsed`` dt to the target for every step it lasts; ``boundary`` -10 to each
+    every pursuer); ``elapsed`` dt to the target for every step it lasts, and to a pursuer the cost
+    of time (``time_cost``), if any; ``boundary`` -10 to each
     individual that leaves the boundary, if there are no walls. Contact is judged before the
     boundary. Of several targets the first touch ends the episode, for all.
 
@@ -110,6 +111,7 @@ class ChaseWorld(World):
                 ),
                 dt=species.dt,
                 penalty=species.boundary_penalty,
+                step_cost=species.step_cost,
                 field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
                 walled=arena.rebound,
                 lone=species.lone_pursuer,

@@ -17,18 +17,19 @@ from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.search.senses import orient, push_of, read, sense, smell, wake
-from animarl_envs.worlds.streams import next_below
+from animarl_envs.worlds.streams import next_below, next_uniform
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
 
 SearchState = namedtuple(
     "SearchState",
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
-    "warming driver recorded first traits table odour senses damping thrust pushes condition "
-    "pattern phase position velocity body components reward sensed",
+    "warming driver recorded first traits step_cost table odour senses damping thrust pushes "
+    "condition pattern phase position velocity body components reward sensed",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.search.world.SearchWorld`, where
-they are made. ``pushes`` ``(A, 2)`` are actions in multiples of the thrust, ahead and left;
+they are made. ``first`` ``(2, 2)`` are the lowest and highest x and y of starts without a
+recording; ``pushes`` ``(A, 2)`` are actions in multiples of the thrust, ahead and left;
 ``traits`` ``(n, 2)`` are those of training animals;
 ``odour`` is an :class:`animarl_envs.worlds.plume.plume.OdourWeights`, empty where the table
 holds."""
@@ -54,7 +55,7 @@ def refer(parts):  # type: ignore[no-untyped-def]
 
 @jit
 def start(mask, state):  # type: ignore[no-untyped-def]
-    """First states of new episodes: as recorded, or at rest downwind of the source."""
+    """First states of new episodes: as recorded, or at rest where ``state.first`` says."""
     demos, recorded, senses, table = state.demos, state.recorded, state.senses, state.table
     position, velocity, body, random = state.position, state.velocity, state.body, state.random
     pattern, phase, sensed = state.pattern, state.phase, state.sensed
@@ -64,8 +65,16 @@ def start(mask, state):  # type: ignore[no-untyped-def]
         d = state.demo[b]
         frame = demos.start[d] if d >= 0 else 0
         for x in range(2):
-            position[x, b] = demos.position[frame, 0, x] if d >= 0 else state.first[x]
+            position[x, b] = demos.position[frame, 0, x] if d >= 0 else state.first[0, x]
             velocity[x, b] = demos.velocity[frame, 0, x] if d >= 0 else 0.0
+        drawing = d < 0 and state.first[1, 0] > state.first[0, 0]
+        while drawing:  # until it is well away from the source
+            for x in range(2):
+                width = state.first[1, x] - state.first[0, x]
+                position[x, b] = state.first[0, x] + width * next_uniform(random, b)
+            px = position[0, b]
+            py = position[1, b]
+            drawing = px * px + py * py < 4.0 * state.contact_radius * state.contact_radius
         vx = velocity[0, b]
         vy = velocity[1, b]
         wake(b, vx, vy, d >= 0, frame, recorded.heading, senses, body)
@@ -138,8 +147,9 @@ def step(asked, state):  # type: ignore[no-untyped-def]
         px = position[0, b]
         py = position[1, b]
         reached = px * px + py * py < contact_radius * contact_radius
-        components[b] = 1.0 if reached else 0.0
-        reward[b] = components[b]
+        components[0, b] = 1.0 if reached else 0.0
+        components[1, b] = 0.0 - state.step_cost
+        reward[b] = components[0, b] + components[1, b]
         outcome[b] = REACHED if reached else TIME_OUT
         terminated[b] = reached
         truncated[b] = t >= time_limit and not reached

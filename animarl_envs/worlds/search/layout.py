@@ -3,7 +3,7 @@
 :class:`Seen` is the order, :func:`observation_components` says what each entry means, and
 :func:`animarl_envs.worlds.search.senses.sense` writes them. The first ``PAPER`` entries are the
 paper's, where ``observation="paper"`` stops; ``"compact"`` holds the hits themselves beside them,
-``"full"`` all. The position is not among them.
+``"full"`` all, and ``"odour"`` the hits alone. The position is not among them.
 """
 
 from __future__ import annotations
@@ -70,6 +70,7 @@ class Seen(IntEnum):
 PAPER = Seen.WIND_BACK + 1  # components of the paper
 SMALL = Seen.HIT_RIGHT + 1  # of the compact observation
 ALIKE = Seen.YAW_RATE + 1  # components where all individuals are alike
+ODOUR = 2  # components of "odour": the hits of the present step, which tell nothing of the past
 
 
 def observation_components(
@@ -101,8 +102,11 @@ def observation_components(
         "trait": (-LARGEST, LARGEST),
     }
     every = ALIKE if species.traits is None else len(Seen)
-    wanted = {"paper": PAPER, COMPACT: SMALL, "full": every}[species.observation]
+    first = {"paper": PAPER, COMPACT: SMALL}.get(species.observation, every)
+    wanted = list(Seen)[:first]
+    if species.observation == "odour":
+        wanted = [Seen.HIT_LEFT, Seen.HIT_RIGHT]
     return tuple(
         ObservationComponent(label, frame, unit, *spans[span], sign, mirror)
-        for label, frame, unit, span, sign, mirror in (seen.component for seen in Seen)
-    )[:wanted]
+        for label, frame, unit, span, sign, mirror in (seen.component for seen in wanted)
+    )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
-from animarl_envs.worlds.search.layout import ALIKE, HARDEST, PAPER, REST, SMALL, Seen
+from animarl_envs.worlds.search.layout import ALIKE, HARDEST, ODOUR, PAPER, REST, SMALL, Seen
 from animarl_envs.worlds.streams import next_uniform
 
 
@@ -198,12 +198,16 @@ def sense(  # type: ignore[no-untyped-def]
     odour[1, b] = 1.0 if hit_right else base + (odour[1, b] - base) * senses.remains
     trace[0, b] = 1.0 if hit_left else trace[0, b] * senses.trace_remains
     trace[1, b] = 1.0 if hit_right else trace[1, b] * senses.trace_remains
-    out[Seen.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
-    out[Seen.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
-    out[Seen.BODY_ANGLE, column] = body.angle[b]
-    out[Seen.ODOUR_LEFT, column] = odour[0, b]
-    out[Seen.ODOUR_RIGHT, column] = odour[1, b]
-    _sense_air(b, condition, senses, body, out, column)
+    if out.shape[0] == ODOUR:
+        out[0, column] = 1.0 if hit_left else 0.0
+        out[1, column] = 1.0 if hit_right else 0.0
+    else:
+        out[Seen.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
+        out[Seen.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
+        out[Seen.BODY_ANGLE, column] = body.angle[b]
+        out[Seen.ODOUR_LEFT, column] = odour[0, b]
+        out[Seen.ODOUR_RIGHT, column] = odour[1, b]
+        _sense_air(b, condition, senses, body, out, column)
     if out.shape[0] > PAPER:
         out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
         out[Seen.HIT_RIGHT, column] = 1.0 if hit_right else 0.0

@@ -35,7 +35,8 @@ HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
 class SearchWorld(World):
     """Batched odour search; see :class:`animarl_envs.worlds.base.World` for the arrays.
 
-    Reward: ``touch`` +1 at the source. Contact terminates, the time limit truncates.
+    Reward: ``touch`` +1 at the source, ``elapsed`` the cost of time (``time_cost``), if any.
+    Contact terminates, the time limit truncates.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class SearchWorld(World):
         ``(B,)``: index into ``patterns``, and the plume's step at the start of the episode.
     """
 
-    reward_components = ("touch",)
+    reward_components = ("touch", "elapsed")
     _state_names = (
         *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "traits",
         "pattern", "phase",
@@ -91,15 +92,19 @@ class SearchWorld(World):
         scale = species.metres_per_unit
         table = hit_table(self.plume, self.patterns, species.dt, species.antenna_radius * scale)
         own, start = species.locomotion[0], scenario.start
-        first = [species.start_distance, 0.0] if isinstance(start, str) else start[0]
+        region = np.tile([species.start_distance, 0.0] if isinstance(start, str) else start[0], 2)
+        if isinstance(start, str) and species.start_region:
+            low, high, width = species.start_region
+            region = np.array([low, -width, high, width])
         self._reference = by_reference(
             kernels.refer,
             kernels.SearchState(
                 **self._shared_state(),
                 driver=int(self._drivers[0]),
                 recorded=_recorded_senses(species, scenario.demos, self.patterns, groups, model),
-                first=np.array(first, dtype=np.float64),
+                first=region.astype(np.float64).reshape(2, 2),
                 traits=np.zeros((0, 2)) if species.traits is None else species.traits.table[:, 0],
+                step_cost=species.step_cost,
                 table=table._replace(cell=table.cell / scale),  # from here on in arena units
                 odour=odour_weights(self.plume),
                 senses=senses_of(species),
@@ -112,7 +117,7 @@ class SearchWorld(World):
                 position=self._position[0],
                 velocity=self._velocity[0],
                 body=self._body,
-                components=self._components[0, 0],
+                components=self._components[0],
                 reward=self._reward[0],
                 sensed=self._sensed[0],
             ),

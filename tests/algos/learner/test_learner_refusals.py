@@ -405,7 +405,9 @@ def test_cloning_needs_epochs() -> None:
 
 
 def test_named_demonstrations_serve_an_environment_without_names() -> None:
-    single = DTWReward(gym.make("AnimaRL/Agent-v0", focal="prey"))
+    single = DTWReward(
+        gym.make("AnimaRL/Agent-v0", focal="prey", recorded=True, observation="full")
+    )
     shown = SlotVecEnv("agent", 1, focal="prey").offline_data()
     model = DQDIL("GruPolicy", single, demonstrations=shown, offline_epochs=1, device="cpu")
     assert model.pretrain().done

@@ -201,7 +201,7 @@ def test_conditions_are_labels_that_change_no_reward() -> None:
     paid = []
     for condition in (0, 1):
         env = AnimalVectorEnv("custom", 1, demos=demos, condition=condition, start=start,
-                              focal="dog_b", contact_radius=0.1)  # fmt: skip
+                              focal="dog_b", contact_radius=0.1, time_cost=0.0)  # fmt: skip
         env.reset(seed=0)
         _, reward, terminated, *_ = env.step(np.array([12]))
         assert terminated[0]

@@ -110,7 +110,7 @@ every_case = pytest.mark.parametrize("case", CASES, ids=str)
 
 def test_registry_is_what_is_tested() -> None:
     ids = {name for name in gym.registry if name.startswith("AnimaRL/")}
-    assert ids == {animarl_envs.environment_id(name) for name in NAMES}
+    assert ids == {animarl_envs.environment_id(n) for n in NAMES} | {"AnimaRL/SilkmothMemory-v0"}
     assert len(CASES) > 40
 
 
@@ -376,14 +376,14 @@ def test_registry_torchrl_takes_all_individuals() -> None:
 
 @pytest.mark.parametrize("name", packaged_names())
 def test_registry_packaged_demonstrations_are_the_default(name: str) -> None:
-    env = gym.make(animarl_envs.environment_id(name))
+    env = gym.make(animarl_envs.environment_id(name), recorded=True)
     _, info = env.reset(seed=0)
     assert (info["scenario"]["start"], info["scenario"]["split"]) == ("demo", "train")
     assert info["demo"] >= 0
     check_env(env.unwrapped, skip_render_check=True)
     sb3_check_env(env.unwrapped)
-    parallel_api_test(animarl_envs.parallel_env(name), num_cycles=60)
-    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8)
+    parallel_api_test(animarl_envs.parallel_env(name, recorded=True), num_cycles=60)
+    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8, recorded=True)
     observations, _ = vector.reset(seed=0)
     for k in range(200):
         assert vector.observation_space.contains(observations)

@@ -16,7 +16,7 @@ from animarl_envs.locomotion import COAST, Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY
 from animarl_envs.worlds.chase.world import ChaseWorld
-from animarl_envs.worlds.rules import LOOKAHEAD, WALL_MARGIN
+from animarl_envs.worlds.rules import LOOKS, SOFTENING, WALL_MARGIN, WALL_WEIGHT
 
 Array = NDArray[Any]
 
@@ -241,25 +241,43 @@ def test_the_scripted_prey_outlives_a_resting_one() -> None:
     assert lasted[0] > 2 * lasted[1]
 
 
+def places(
+    moves: Locomotion, p: Any, v: Any, unit: Any, dt: float, steps: int
+) -> NDArray[np.float64]:
+    """Where an animal is after each of so many steps, its push the same."""
+    found = []
+    for _ in range(steps):
+        v = (1.0 - moves.damping) * v + moves.thrust * unit * dt
+        p = p + v * dt
+        found.append(p)
+    return np.array(found)
+
+
 def reference_scripted(made: ChaseWorld, b: int) -> int:
     """What the scripted target does in copy ``b``: the action with the least crowded outlook."""
     species = made.scenario.species
     position, velocity, target = made.position[b], made.velocity[b], made.num_individuals - 1
     moves, size, dt = species.locomotion[target], species.arena.size, species.dt
     focus = reference_focus(position)[target]
+    steps = math.ceil(math.sqrt(size / moves.thrust) / dt)
+    looks = [(look + 1) * steps // LOOKS - 1 for look in range(LOOKS)]
     costs = []
     for k in range(made.num_actions):
         direction = math.atan2(focus[1], focus[0]) - math.radians(30 * k)
         unit = np.array([math.cos(direction), math.sin(direction)]) * (k < COAST)
-        p, v = position[target], velocity[target]
-        for _ in range(LOOKAHEAD):
-            v = (1.0 - moves.damping) * v + moves.thrust * unit * dt
-            p = p + v * dt
-        reach = np.abs(p) if species.arena.shape == "square" else np.array([np.linalg.norm(p)])
+        own = places(moves, position[target], velocity[target], unit, dt, steps)[looks]
+        square = species.arena.shape == "square"
+        reach = np.abs(own) if square else np.linalg.norm(own, axis=1, keepdims=True)
         depth = np.maximum(0.0, reach - size + WALL_MARGIN * size) / (WALL_MARGIN * size)
-        ahead = position[:target] + velocity[:target] * LOOKAHEAD * dt * 0.5
-        apart = np.linalg.norm(ahead - p, axis=1)
-        costs.append(10.0 * np.sum(depth**2) + np.sum(1.0 / (apart + 0.05 * size)))
+        cost = WALL_WEIGHT * np.sum(depth**2)
+        for j in range(target):
+            to_me = position[target] - position[j]
+            to_me /= np.linalg.norm(to_me)
+            chaser = species.locomotion[j]
+            theirs = places(chaser, position[j], velocity[j], to_me, dt, steps)[looks]
+            apart = np.linalg.norm(theirs - own, axis=1) / size
+            cost += np.sum(1.0 / (apart**2 + SOFTENING))
+        costs.append(cost)
     return int(np.argmin(costs))
 
 

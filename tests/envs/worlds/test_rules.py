@@ -1,5 +1,7 @@
 """The scripted rules, as arrays: what walls cost, where the target flees to, and that pursuers push
-straight on. The numbers 6 steps, a quarter, 10 and 0.05 are the rule's own, written out here."""
+straight on."""
+
+import math
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.locomotion import Locomotion, apply_actions
-from animarl_envs.worlds.rules import decide, wall_cost
+from animarl_envs.worlds.rules import LOOKS, SOFTENING, WALL_WEIGHT, decide, wall_cost
 
 DT = 0.1
 OWN = Locomotion(0.2, 3.0, (1.0, 0.4))
@@ -51,8 +53,8 @@ def moves(
     actions = np.full((individuals, copies), 77, dtype=np.uint64)
     pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * individuals)
     decide(
-        who, position, velocity, towards, own.damping, own.thrust, pushes, DT, shape, size, lone,
-        actions,
+        who, position, velocity, towards, np.full(individuals, own.damping),
+        np.full(individuals, own.thrust), pushes, DT, shape, size, lone, actions,
     )  # fmt: skip
     others = np.delete(actions, who, axis=0)
     assert (others == 77).all()  # a rule speaks for its own individual alone
@@ -79,19 +81,29 @@ def test_the_target_takes_the_action_of_the_lowest_cost(individuals: int, shape:
         position[:40, target, 0] *= 0.1  # some near one wall alone
         position[:40, target, 1] = 1.3
     chosen = moves(OWN, target, (position, velocity, towards), shape, size)
-    margin = 0.25 * size
-    costs = np.empty((OWN.num_actions, copies))
+    margin, steps = 0.25 * size, math.ceil(math.sqrt(size / OWN.thrust) / DT)
+    focus = position[:, target, None] - position[:, :target]
+    focus /= np.linalg.norm(focus, axis=-1, keepdims=True)
+    ahead = np.zeros(copies, dtype=int)
+    costs = np.zeros((OWN.num_actions, copies))
     for k in range(OWN.num_actions):
         place, speed = position[:, target], velocity[:, target]
-        for _ in range(6):
+        chaser, pace = position[:, :target], velocity[:, :target]
+        for t in range(1, steps + 1):
             speed = apply_actions(speed, np.full(copies, k), towards[:, target], OWN, DT)
             place = place + speed * DT
-        reach = np.abs(place) if shape == SQUARE else np.linalg.norm(place, axis=1, keepdims=True)
-        depth = np.maximum(reach - (size - margin), 0.0) / margin * (shape != OPEN)
-        costs[k] = 10.0 * (depth**2).sum(axis=1)
-        for j in range(target):  # a pursuer, as seen half of the time ahead
-            gap = np.linalg.norm(position[:, j] + 0.3 * velocity[:, j] - place, axis=1)
-            costs[k] += 1.0 / (gap + 0.05 * size)
+            pace = np.stack(
+                [apply_actions(pace[:, j], ahead, focus[:, j], OWN, DT) for j in range(target)], 1
+            )
+            chaser = chaser + pace * DT
+            if t not in [(look + 1) * steps // LOOKS for look in range(LOOKS)]:
+                continue
+            square = shape == SQUARE
+            reach = np.abs(place) if square else np.linalg.norm(place, axis=1, keepdims=True)
+            depth = np.maximum(reach - (size - margin), 0.0) / margin * (shape != OPEN)
+            gap = np.linalg.norm(chaser - place[:, None], axis=-1) / size
+            costs[k] += WALL_WEIGHT * (depth**2).sum(axis=1)
+            costs[k] += (1.0 / (gap**2 + SOFTENING)).sum(axis=1)
     np.testing.assert_array_equal(chosen, costs.argmin(axis=0))
     assert len(set(chosen.tolist())) > 5
 

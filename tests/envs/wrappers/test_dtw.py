@@ -40,7 +40,7 @@ def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_las
     focal: str,
 ) -> None:
     """The prey coasts, so that it outlives its recording: there its pay for lasting is refunded."""
-    env = DTWReward(gym.make("AnimaRL/Agent-v0", focal=focal, others="coast"))
+    env = DTWReward(gym.make("AnimaRL/Agent-v0", focal=focal, others="coast", recorded=True))
     world = env.unwrapped.world  # type: ignore[attr-defined]
     who = world.scenario.names.index(focal)
     rng = np.random.default_rng(1)

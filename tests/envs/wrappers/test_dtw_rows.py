@@ -230,7 +230,7 @@ def test_a_band_reaches_two_frames_either_way() -> None:
 def test_a_tracker_needs_demonstrations_and_episodes_that_start_from_them() -> None:
     world = Walk()
     refuses("choose closeness, increment, cumulative", tracker, world, "near")
-    refuses("the environment has none", DTWTracker, None, COPIES, np.array(FOLLOWED), 0.8)
+    refuses("start without any", DTWTracker, None, COPIES, np.array(FOLLOWED), 0.8)
     follows = tracker(world)
     world.start(np.arange(COPIES) < 3)
     follows.started(world, np.arange(COPIES) < 3)  # the others are not asked for

@@ -123,7 +123,10 @@ def test_the_world_changes_without_the_cue(condition: int, paid: float, cue: Any
     """Who is paid for a capture follows the world's condition, whatever is told."""
     start = [[0.45, 0.0], [0.0, 0.4], [0.54, 0.0]]
     env = ConditionFlagParallel(
-        animarl_envs.parallel_env("agent", demos=None, start=start, condition=condition), cue=cue
+        animarl_envs.parallel_env(
+            "agent", demos=None, start=start, condition=condition, recorded=True
+        ),
+        cue=cue,
     )
     observations, _ = env.reset(seed=0)
     told = {"flipped": 1 - condition}.get(cue, cue)

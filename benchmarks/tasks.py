@@ -1,0 +1,347 @@
+"""How hard the registered tasks are: what policies earn in ``gym.make("AnimaRL/Agent-v0")`` etc.
+
+    python benchmarks/tasks.py [--quick] [--task Agent ...] [--seed 0 ...] [--out FOLDER]
+
+Rows of a task: actions drawn at random; the best of all policies that always take one action; the
+species' scripted rule (a pursuer's is straight at the target, which is one of those constant
+actions; the programmed moth's that of ``animarl_envs.worlds.search.programmed_moth``); the packaged
+clone, where it can act in the task's world; stable-baselines3's PPO, which has no memory, and
+sb3-contrib's RecurrentPPO, both with the settings below for every task; and the animals of the
+packaged demonstrations, what the task would have paid the first pursuer for its recorded episode.
+
+Returns are means of the first episode of 500 copies, whose starts no learner was trained on; all
+policies act as they do in training, at random where their distribution says so. A score is the
+return with random at 0 and the best learner's mean over seeds at 1. A row of a learner is written
+when it is done, so that a stopped command goes on. ``--quick``: one seed, few steps, two minutes,
+into ``out/tasks_quick``; it shows that everything runs, not what learners can do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from animarl_algos.evaluation.collect import remembered
+from animarl_algos.runs.pretrained import load_pretrained
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.files import write_then_rename
+from animarl_envs.species import SearchSpecies
+from animarl_envs.views.vector import AnimalVectorEnv
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
+
+TASKS = ("Agent", "Fly", "Newt", "Silkmoth", "SilkmothMemory")
+EPISODES, STARTS, CHOICE_STARTS = 500, 1_000_000, 2_000_000
+"""Episodes of a mean, the seed of their starts, and that of those the constant is chosen by."""
+COPIES, ROLLOUT, STEPS = 64, 128, {"PPO": 2_000_000, "RecurrentPPO": 1_000_000}
+SETTINGS: dict[str, Any] = {
+    "n_steps": ROLLOUT, "batch_size": 2048, "n_epochs": 5, "gamma": 0.998, "gae_lambda": 0.95,
+    "learning_rate": 1e-3, "ent_coef": 0.005, "device": "cpu",
+}  # fmt: skip
+LEARNERS: dict[str, tuple[type[OnPolicyAlgorithm], str, dict[str, Any]]] = {
+    "PPO": (PPO, "MlpPolicy", {"net_arch": [64, 64]}),
+    "RecurrentPPO": (
+        RecurrentPPO, "MlpLstmPolicy",
+        {"net_arch": [64], "lstm_hidden_size": 64, "enable_critic_lstm": False,
+         "shared_lstm": True},
+    ),
+}  # fmt: skip
+Act = Callable[[NDArray[np.float32], NDArray[np.bool_]], NDArray[np.int64]]
+"""Actions of all copies, from what they see and which of them have just begun."""
+
+
+class ManyCopies(VecEnv):
+    """``gym.make_vec``'s native copies as a stable-baselines3 ``VecEnv``."""
+
+    def __init__(self, task: str, copies: int, seed: int, **options: Any) -> None:
+        made = gym.make_vec(
+            f"AnimaRL/{task}-v0", num_envs=copies, autoreset_mode="SameStep", **options
+        )
+        assert isinstance(made.unwrapped, AnimalVectorEnv)
+        self.env, self.first, self.render_mode = made.unwrapped, seed, None
+        super().__init__(copies, self.env.single_observation_space, self.env.single_action_space)
+
+    def reset(self) -> VecEnvObs:
+        return self.env.reset(seed=self.first)[0]
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self.actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        seen, reward, terminated, truncated, told = self.env.step(self.actions)
+        done, infos = terminated | truncated, [{} for _ in range(self.num_envs)]
+        for b in np.flatnonzero(done):
+            infos[b] = {
+                "terminal_observation": told["final_obs"][b],
+                "TimeLimit.truncated": bool(truncated[b]),
+            }
+        return seen, reward, done, infos
+
+    def close(self) -> None:
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self.env, attr_name)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
+        return [getattr(self.env, method_name)(*args, **kwargs)] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+def mean_return(task: str, act: Act, episodes: int, seed: int = STARTS, **options: Any) -> float:
+    """Mean return of the first episode of each copy."""
+    env = ManyCopies(task, episodes, seed, **options)
+    seen: Any = env.reset()
+    total, running, begun = np.zeros(episodes), np.ones(episodes, bool), np.ones(episodes, bool)
+    while running.any():
+        env.step_async(act(seen, begun))
+        seen, reward, begun, _ = env.step_wait()
+        total += reward * running
+        running &= ~begun
+    return float(total.mean())
+
+
+def constant(action: int) -> Act:
+    """Always the same action."""
+    return lambda seen, begun: np.full(len(seen), action)
+
+
+# -- rows that nobody learns -----------------------------------------------------------------------
+
+
+def world_of(task: str) -> Any:
+    """The task's world, one copy."""
+    env = gym.make(f"AnimaRL/{task}-v0").unwrapped
+    return env.world  # type: ignore[attr-defined]
+
+
+def random_row(task: str, episodes: int) -> float:
+    """Actions drawn at random."""
+    count, rng = world_of(task).num_actions, np.random.default_rng(0)
+    return mean_return(task, lambda seen, begun: rng.integers(count, size=len(seen)), episodes)
+
+
+def best_constant(task: str, episodes: int) -> tuple[int, float]:
+    """The action that earns most if it is always taken, on other starts, and what it earns."""
+    actions = range(world_of(task).num_actions)
+    earned = [mean_return(task, constant(a), episodes, CHOICE_STARTS) for a in actions]
+    best = int(np.argmax(earned))
+    return best, mean_return(task, constant(best), episodes)
+
+
+def scripted_row(task: str, episodes: int) -> float | None:
+    """The rule of the species; of the moth its programme, which needs more than odour."""
+    species = world_of(task).scenario.species
+    if not isinstance(species, SearchSpecies):
+        return mean_return(task, constant(0), episodes)
+    if species.observation == "odour":
+        return None
+    moths = ProgrammedMoth(episodes, np.random.default_rng(0), species)
+
+    def act(seen: NDArray[np.float32], begun: NDArray[np.bool_]) -> NDArray[np.int64]:
+        moths.reset(begun)
+        return moths.act(seen[:, None])[:, 0]
+
+    return mean_return(task, act, episodes, observation="full")
+
+
+def clone_row(task: str, episodes: int) -> float | None:
+    """The packaged clone drives the first pursuer, by all that it observed when it learned."""
+    if world_of(task).scenario.species.observation == "odour":
+        return None
+    view: Any = gym.make(f"AnimaRL/{task}-v0", observation="full").unwrapped
+    model = load_pretrained(view.scenario.species.name)
+    world, focal = make_world(view.scenario, episodes), view.focal_index
+    world.seed(STARTS + np.arange(episodes))
+    world.reset()
+    model.set_random_seed(0)
+    count, flagged = world.num_individuals, len(world.observation_components)
+    flag = model.observation_space.shape[0] - flagged  # clones of two conditions are told which
+    total, running, state = np.zeros(episodes), np.ones(episodes, bool), None
+    begun = np.ones(episodes * count, bool)
+    while running.any():
+        seen = world.observation.reshape(episodes * count, flagged)
+        told = np.repeat(world.condition, count)[:, None].astype(np.float32)[:, :flag]
+        actions, state = model.predict(np.hstack([seen, told]), state, begun)
+        asked = np.asarray(actions).reshape(episodes, count)
+        state = remembered(model, state, asked, world.executed(asked))
+        world.step(asked)
+        begun[:] = False
+        total += world.reward[:, focal] * running
+        running &= ~(world.terminated | world.truncated)
+    return float(total.mean())
+
+
+def recorded_row(task: str) -> float:
+    """What the first pursuer's recorded episodes would have been paid."""
+    species = world_of(task).scenario.species
+    demos = load_packaged(species.name).select(split="train")
+    shared = demos.condition == 1 if getattr(species, "shared_reward", False) else False
+    touched = (demos.outcome == 1) | ((demos.outcome > 0) & shared)
+    steps = np.minimum(demos.lengths - 1, species.time_limit)
+    return float(np.mean(touched - species.step_cost * steps))
+
+
+# -- learners --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A trained policy as it acts: its observations normalised, its memory kept."""
+
+    model: OnPolicyAlgorithm
+    scaling: VecNormalize
+
+    def policy(self) -> Act:
+        """Acts from the first step on."""
+        memory: list[Any] = [None]
+
+        def act(seen: NDArray[np.float32], begun: NDArray[np.bool_]) -> NDArray[np.int64]:
+            scaled: Any = self.scaling.normalize_obs(seen)
+            actions, memory[0] = self.model.predict(scaled, memory[0], begun, deterministic=False)
+            return actions
+
+        return act
+
+
+def train(task: str, name: str, seed: int, steps: int) -> Learned:
+    """A learner after so many steps."""
+    torch.set_num_threads(1)
+    kind, policy, widths = LEARNERS[name]
+    copies = ManyCopies(task, COPIES, seed * COPIES)
+    env = VecNormalize(VecMonitor(copies), gamma=SETTINGS["gamma"])
+    model: Any = kind(policy, env, seed=seed, policy_kwargs=widths, **SETTINGS)  # type: ignore[arg-type]
+    model.learn(steps)
+    return Learned(model, env)
+
+
+def learned_row(task: str, name: str, seed: int, steps: int, episodes: int) -> float:
+    """A learner trained and then asked."""
+    return mean_return(task, train(task, name, seed, steps).policy(), episodes)
+
+
+# -- the table -------------------------------------------------------------------------------------
+
+COLUMNS = ("task", "policy", "return", "score", "seeds")
+HEADINGS = ("task", "policy", "seed", "steps", "return")
+
+
+class Rows:
+    """Rows of the CSV file: those there are, and those that are computed now."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.rows = path, dict[tuple[str, ...], str]()
+        if path.exists():
+            with path.open() as file:
+                self.rows = {tuple(row[:4]): row[4] for row in list(csv.reader(file))[1:]}
+
+    def need(
+        self, task: str, policy: str, seed: str, steps: str, find: Callable[[], float | None]
+    ) -> float | None:
+        """The return of a row, found now or before."""
+        key = (task, policy, seed, steps)
+        if key not in self.rows:
+            began, value = time.process_time(), find()
+            self.rows[key] = "" if value is None else f"{value:.4f}"
+            print(*key, self.rows[key], f"{time.process_time() - began:.0f} s", flush=True)
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with write_then_rename(self.path) as part, part.open("w", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerows(
+                    [HEADINGS, *sorted((*key, value) for key, value in self.rows.items())]
+                )
+        return float(self.rows[key]) if self.rows[key] else None
+
+
+def measure(
+    rows: Rows, task: str, learners: Sequence[str], seeds: Sequence[int], quick: bool
+) -> None:
+    """All rows of a task."""
+    episodes = 50 if quick else EPISODES
+    rows.need(task, "random", "", "", lambda: random_row(task, episodes))
+    actions = world_of(task).num_actions
+    done = [policy for of, policy, *_ in rows.rows if of == task and "constant" in policy]
+    if not done:
+        best, earned = best_constant(task, episodes)
+        rows.need(task, f"constant {best} of {actions}", "", "", lambda: earned)
+    rows.need(task, "scripted", "", "", lambda: scripted_row(task, episodes))
+    rows.need(task, "packaged clone", "", "", lambda: clone_row(task, episodes))
+    rows.need(task, "recorded animals", "", "", lambda: recorded_row(task))
+    for name in learners:
+        steps = 2 * COPIES * ROLLOUT if quick else STEPS[name]
+        for seed in seeds:
+            find = partial(learned_row, task, name, seed, steps, episodes)
+            rows.need(task, name, str(seed), str(steps), find)
+
+
+def scores(rows: Rows, task: str) -> list[tuple[str, float, float, int]]:
+    """Policy, mean return, score and seeds, of those that have a return."""
+    found: dict[str, list[float]] = {}
+    for (of, policy, _, _), value in rows.rows.items():
+        if of == task and value:
+            found.setdefault(policy, []).append(float(value))
+    means = {policy: float(np.mean(values)) for policy, values in found.items()}
+    if means.keys().isdisjoint(LEARNERS):
+        return []
+    floor, best = means["random"], max(means[name] for name in LEARNERS if name in means)
+    constants = [policy for policy in means if policy.startswith("constant")]
+    order = ["random", *constants, "scripted", "packaged clone", *LEARNERS, "recorded animals"]
+    return [
+        (name, means[name], (means[name] - floor) / (best - floor), len(found[name]))
+        for name in order if name in means
+    ]  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--task", action="append", choices=TASKS, help="one of them; default all")
+    parser.add_argument("--seed", action="append", type=int, help="default 0, 1 and 2")
+    parser.add_argument("--learner", action="append", choices=LEARNERS, help="default both")
+    parser.add_argument("--quick", action="store_true", help="that everything runs, two minutes")
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    out = arguments.out or Path("out/tasks_quick" if quick else "docs/results/tasks")
+    rows = Rows(out / "scores.csv")
+    table = Table(title="Returns and scores (random 0, best learner 1)")
+    for heading in COLUMNS:
+        table.add_column(heading)
+    listed: list[tuple[str, ...]] = []
+    for task in arguments.task or TASKS:
+        seeds = arguments.seed or ((0,) if quick else (0, 1, 2))
+        measure(rows, task, arguments.learner or list(LEARNERS), seeds, quick)
+    for task in TASKS:  # those of earlier commands too
+        for policy, mean, score, trained in scores(rows, task):
+            listed.append((task, policy, f"{mean:.3f}", f"{score:.2f}", str(trained)))
+            table.add_row(*listed[-1])
+    with write_then_rename(out / "table.csv") as part, part.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *listed])
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

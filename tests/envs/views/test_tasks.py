@@ -1,0 +1,123 @@
+"""The tasks that the views are by default: opponents act, time costs, starts lie all around."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import animarl_envs
+from animarl_envs.errors import InputError
+from animarl_envs.species import SILKMOTH, SPECIES
+from animarl_envs.species.options import with_options
+from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
+from animarl_envs.wrappers import DTWReward
+
+CHASES = ("agent", "fly", "newt")
+COPIES = 100
+
+
+def make(name: str, **options: Any) -> Any:
+    made = gym.make_vec(f"AnimaRL/{name.capitalize()}-v0", num_envs=COPIES, **options)
+    return made.unwrapped
+
+
+def first_episodes(env: Any, act: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return and outcome of the first episode of each copy."""
+    seen, _ = env.reset(seed=1)
+    total, outcome = np.zeros(COPIES), np.zeros(COPIES, dtype=np.int64)
+    running = np.ones(COPIES, dtype=bool)
+    while running.any():
+        seen, reward, terminated, truncated, info = env.step(act(seen))
+        total += reward * running
+        outcome[running] = info["outcome"][running]
+        running &= ~(terminated | truncated)
+    return total, outcome
+
+
+def constant(action: int) -> Any:
+    return lambda seen: np.full(COPIES, action)
+
+
+@pytest.mark.parametrize("name", CHASES)
+def test_tasks_are_not_solved_by_heading_for_the_target(name: str) -> None:
+    """Straight at a target that replays its recording, or a few degrees beside it, catches it."""
+    recorded, _ = first_episodes(make(name, recorded=True), constant(0))
+    assert recorded.mean() > 0.5
+    for action in (0, 1, 11):
+        _, outcome = first_episodes(make(name), constant(action))
+        assert (outcome == 1).mean() < 0.45
+
+
+@pytest.mark.parametrize("name", CHASES)
+def test_tasks_have_opponents_that_act_and_a_cost_of_time(name: str) -> None:
+    env = make(name)
+    assert env.scenario.drivers == ("action", "scripted", "scripted")
+    assert env.scenario.paired
+    env.reset(seed=0)
+    cost = env.scenario.species.step_cost
+    assert cost == 0.5 / env.time_limit
+    reward = env.step(np.zeros(COPIES, dtype=int))[1]
+    assert set(reward) <= {-cost, 1.0 - cost}
+    assert np.mean(reward == -cost) > 0.9
+    world = make(name, recorded=True, observation="full")
+    assert world.scenario.drivers == ("action", "replay", "replay")
+    assert world.scenario.species == SPECIES[name]
+
+
+def test_tasks_keep_what_the_caller_says() -> None:
+    env = animarl_envs.parallel_env("agent", boundary_penalty=-2.0, time_cost=0.0)
+    said = {"boundary_penalty": -2.0, "observation": "compact"}
+    assert env.scenario.species == with_options(SPECIES["agent"], **said)
+    assert make("fly", contact_radius=0.3).scenario.species.contact_radius == 0.3
+    free = gym.make("AnimaRL/Shoal-v0").unwrapped
+    assert free.scenario.drivers[1:] == ("replay",) * 11  # type: ignore[attr-defined]
+
+
+def test_tasks_of_a_moth_start_on_all_sides_of_the_source() -> None:
+    env = make("silkmoth")
+    env.reset(seed=0)
+    x, y = env.world.position[:, 0].T
+    assert np.hypot(x, y).min() >= 2 * SILKMOTH.contact_radius
+    assert -0.1 <= x.min() < 0.0 and 0.35 < x.max() <= 0.4
+    assert -0.25 <= y.min() < -0.2 and 0.2 < y.max() <= 0.25
+    fixed = make("silkmoth", start_region=())
+    fixed.reset(seed=0)
+    assert (fixed.world.position[:, 0] == [SILKMOTH.start_distance, 0.0]).all()
+
+
+def test_tasks_of_a_moth_are_not_solved_by_going_upwind() -> None:
+    env = make("silkmoth", observation="full")
+    for action in (0, 1, 11):
+        assert (first_episodes(env, constant(action))[1] == 1).mean() < 0.25
+    moths = ProgrammedMoth(COPIES, np.random.default_rng(0))
+    assert (first_episodes(env, lambda seen: moths.act(seen[:, None])[:, 0])[1] == 1).mean() > 0.3
+
+
+def test_tasks_for_memory_show_the_hits_of_this_step_alone() -> None:
+    env = gym.make_vec("AnimaRL/SilkmothMemory-v0", num_envs=COPIES).unwrapped
+    full = make("silkmoth", observation="full")
+    rng = np.random.default_rng(0)
+    seen, everything = env.reset(seed=3)[0], full.reset(seed=3)[0]
+    hits = np.zeros(2)
+    for _ in range(60):
+        np.testing.assert_array_equal(seen, everything[:, 10:12])
+        hits += seen.sum(axis=0)
+        actions = rng.integers(13, size=COPIES)
+        seen, everything = env.step(actions)[0], full.step(actions)[0]
+    assert (hits > 0).all()
+    assert env.single_observation_space.shape == (2,)
+
+
+@pytest.mark.parametrize("given", [(0.1, 0.0, 0.1), (0.0, 0.01, 0.01), (0.0, 0.4), "wide", 3])
+def test_tasks_refuse_a_region_without_starts(given: Any) -> None:
+    with pytest.raises(InputError, match=r"start_region is .*: give the lowest"):
+        with_options(SILKMOTH, start_region=given)
+
+
+def test_tasks_without_recorded_starts_refuse_the_reward_of_recordings() -> None:
+    with pytest.raises(InputError, match="recorded=True"):
+        DTWReward(gym.make("AnimaRL/Silkmoth-v0"))
