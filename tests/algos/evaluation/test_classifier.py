@@ -1,7 +1,5 @@
 """The classifier: chance where nothing differs, certainty where everything does, no leaks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

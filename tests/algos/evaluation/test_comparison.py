@@ -1,7 +1,5 @@
 """Tables of methods compared: known answers, pairs, contrasts, and what is undefined."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -128,8 +126,7 @@ METHODS = {"DQAAS": 1.0, "DQDIL": 1.0, "DQDIL-PT": 1.0}
 
 
 @pytest.mark.parametrize(
-    ("methods", "seeds"),
-    [(METHODS, 1), (METHODS, 2), ({"DQDIL": 9.0, "DQDIL-PT": 1.0}, 3)],
+    ("methods", "seeds"), [(METHODS, 1), (METHODS, 2), ({"DQDIL": 9.0, "DQDIL-PT": 1.0}, 3)]
 )
 def test_a_gate_of_few_seeds_decides_nothing(methods: dict[str, float], seeds: int) -> None:
     """Two methods of three seeds have 20 arrangements: the smallest p is 2 in 20."""
@@ -218,10 +215,7 @@ def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None
 def test_duration_and_outcome_stand_beside_dtw() -> None:
     rng = np.random.default_rng(0)
     recorded, caught = rng.normal(5.0, 1.0, 10), np.arange(10) < 4
-    metrics = joined_rows(
-        ("recorded", -1, recorded, caught),
-        ("BC", 0, np.full(10, 1.0), caught),
-    )
+    metrics = joined_rows(("recorded", -1, recorded, caught), ("BC", 0, np.full(10, 1.0), caught))
     table = comparison_table(metrics, 10, rng, resamples=100, distance_resamples=50)
     dtw = row(table, method="BC", metric="dtw", counting="all")
     assert dtw["duration"] == pytest.approx(1.0) and dtw["reached"] == pytest.approx(0.4)

@@ -3,8 +3,6 @@
 ``benchmarks/stated_coverage.py`` has the whole grid.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a policy would decide along a recorded path and over the arena, in a file and on a page."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

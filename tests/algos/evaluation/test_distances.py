@@ -1,7 +1,5 @@
 """Distances between distributions: known answers, and agreement with SciPy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A counterfactual beside its truth: planted shifts are found, and of nothing learned no claim."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

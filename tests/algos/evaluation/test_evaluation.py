@@ -1,13 +1,12 @@
 """The evaluation behind the report: saved, repeatable, and of rollouts that belong together."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from refusals import refuses
 from report_inputs import make_demos, make_rollouts, rendered, report_inputs, report_page
 from rich.console import Console
 
@@ -30,8 +29,7 @@ def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
     # The same inputs give the same bytes, also after a passage through files.
     assert rendered(dataclasses.replace(inputs, evaluation=read)) == report_page()
     (tmp_path / "evaluation" / "metrics.csv").unlink()
-    with pytest.raises(InputError, match=r"metrics\.csv is missing"):
-        Evaluation.load(tmp_path / "evaluation")
+    refuses(r"metrics\.csv is missing", Evaluation.load, tmp_path / "evaluation")
 
 
 def test_evaluation_is_repeatable(tmp_path: Path) -> None:
@@ -47,8 +45,7 @@ def test_evaluation_is_repeatable(tmp_path: Path) -> None:
     folders = [e.save(tmp_path / n) for n, e in (("a", again), ("b", twice))]
     written = [{p.name: p.read_bytes() for p in folder.iterdir()} for folder in folders]
     assert written[0] == written[1] and "comparison.csv" in written[0]
-    with pytest.raises(InputError, match="no rollouts"):
-        evaluate({}, inputs.demos, seed=0)
+    refuses("no rollouts", evaluate, {}, inputs.demos, seed=0)
 
 
 def test_rollouts_in_another_condition_alone_are_refused() -> None:
@@ -96,8 +93,7 @@ def pace() -> Iterator[Metric]:
 
 
 def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
-    with pytest.raises(InputError, match="'pace' already"):
-        add_metric(pace)
+    refuses("'pace' already", add_metric, pace)
     inputs = report_inputs()
     before = inputs.evaluation
     again = evaluate(

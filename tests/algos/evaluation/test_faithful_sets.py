@@ -1,7 +1,5 @@
 """``benchmarks/faithful.py``: sets are dealt as they say, and every bar can be met and missed."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

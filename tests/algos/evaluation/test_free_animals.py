@@ -1,7 +1,5 @@
 """Measures of groups and of one animal alone, where nobody is pursued."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

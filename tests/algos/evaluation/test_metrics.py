@@ -1,7 +1,5 @@
 """Metrics of episodes and their counterfactual table: known answers on paths drawn by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from moving_pairs import demonstrations_of, rollouts_along

@@ -1,7 +1,5 @@
 """Realism score, exchange test and sequence judge, on simulated animals of known statistics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

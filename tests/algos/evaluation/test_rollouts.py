@@ -1,7 +1,5 @@
 """Collecting rollouts, and the container that holds them."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ import numpy as np
 import pytest
 from moving_pairs import demonstrations_of
 from numpy.typing import NDArray
+from refusals import refuses
 
 from animarl_algos.evaluation import collect
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
@@ -111,8 +110,7 @@ def test_policies_see_slots_and_keep_their_state() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cue", "told"),
-    [("actual", [0, 1, 1]), ("flipped", [1, 0, 0]), (0, [0, 0, 0]), (1, [1, 1, 1])],
+    ("cue", "told"), [("actual", [0, 1, 1]), ("flipped", [1, 0, 0]), (0, [0, 0, 0]), (1, [1, 1, 1])]
 )
 def test_the_cue_is_told_and_leaves_the_world_alone(cue: Any, told: list[int]) -> None:
     policy = Recorder()
@@ -166,10 +164,8 @@ def test_random_policy_is_uniform() -> None:
 
 
 def test_refuses_what_cannot_be_collected() -> None:
-    with pytest.raises(InputError, match="at least one rollout"):
-        collected(Recorder(), 0)
-    with pytest.raises(InputError, match="start from demonstrations"):
-        collected(Recorder(), start="uniform")
+    refuses("at least one rollout", collected, Recorder(), 0)
+    refuses("start from demonstrations", collected, Recorder(), start="uniform")
     with pytest.raises(InputError, match="cue is 'other'"):
         collect_rollouts(world_maker(), Recorder(), method="x", seed=0, cue="other")  # type: ignore[arg-type]
 
@@ -194,14 +190,11 @@ def test_save_and_load(made: Rollouts, tmp_path: Path) -> None:
 def test_a_foreign_or_damaged_file_is_refused(made: Rollouts, tmp_path: Path) -> None:
     path = tmp_path / "other.npz"
     np.savez(path, positions=np.zeros((3, 1, 2)))
-    with pytest.raises(InputError, match="no rollouts of this project"):
-        Rollouts.load(path)
+    refuses("no rollouts of this project", Rollouts.load, path)
     whole = made.save(tmp_path / "whole.npz").read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(InputError, match=r"other\.npz"):
-        Rollouts.load(path)
-    with pytest.raises(InputError, match="no such file"):
-        Rollouts.load(tmp_path / "missing.npz")
+    refuses(r"other\.npz", Rollouts.load, path)
+    refuses("no such file", Rollouts.load, tmp_path / "missing.npz")
 
 
 def test_misshapen_rollouts_are_refused(made: Rollouts) -> None:
@@ -215,8 +208,7 @@ def test_misshapen_rollouts_are_refused(made: Rollouts) -> None:
         ({"positions": np.where(made.positions > 0, np.nan, 0.0)}, "not a finite number"),
         ({"lengths": np.zeros(0), **{k: np.zeros(0) for k in keys[2:]}}, "holds no episode"),
     ]:
-        with pytest.raises(InputError, match=message):
-            Rollouts(**(good | change))
+        refuses(message, Rollouts, **good | change)
 
 
 def test_selecting_and_joining(made: Rollouts) -> None:
@@ -225,8 +217,7 @@ def test_selecting_and_joining(made: Rollouts) -> None:
     joined = Rollouts.concatenate([made, chosen], method="both")
     assert len(joined) == 8 and joined.method == "both"
     assert np.array_equal(joined.path(7), made.path(3))
-    with pytest.raises(InputError, match="selection is empty"):
-        made.select(made.demo == 99)
+    refuses("selection is empty", made.select, made.demo == 99)
 
 
 def test_speeds_do_not_jump_from_one_rollout_to_the_next() -> None:

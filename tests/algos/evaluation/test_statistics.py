@@ -1,7 +1,5 @@
 """Statistics: known answers, agreement with SciPy, coverage and uniformity on simulated data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """The teams that made demonstrations do again what was recorded of them."""
 
-from __future__ import annotations
-
 import pickle
 import shutil
 from dataclasses import replace
@@ -10,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from refusals import refuses
 
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -17,7 +16,6 @@ from animarl_algos.evaluation.teams import PublishedTeam, teams_of
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import read
 from animarl_envs.species import AGENT
@@ -58,8 +56,7 @@ def test_both_conditions_joined_know_their_teams(data_dir: Path) -> None:
     assert np.array_equal(both.episode(60).positions, parts[1].episode(10).positions)
     teams = teams_of(both, data_dir / "agents_collab_hunting" / "weights")
     assert teams is not None and teams[0].locomotion[2].thrust == 3.0
-    with pytest.raises(InputError, match="differ in dt"):
-        join([parts[0], replace(parts[1], dt=0.2)])
+    refuses("differ in dt", join, [parts[0], replace(parts[1], dt=0.2)])
 
 
 @pytest.mark.realdata
@@ -72,14 +69,11 @@ def test_damaged_weights_and_pickles_are_refused(data_dir: Path, tmp_path: Path)
     whole = torch.load(file, weights_only=True)
     for content in (pickle.dumps(print), b"", file.read_bytes()[:-100]):
         file.write_bytes(content)
-        with pytest.raises(InputError, match=r"p1_2\.4\.pth: it is no network"):
-            PublishedTeam.load(folder)
+        refuses(r"p1_2\.4\.pth: it is no network", PublishedTeam.load, folder)
     torch.save(whole | {"fc_state.2.bias": torch.zeros(2)}, file)
-    with pytest.raises(InputError, match=r"fc_state\.2\.bias has shape"):
-        PublishedTeam.load(folder)
+    refuses(r"fc_state\.2\.bias has shape", PublishedTeam.load, folder)
     file.unlink()
-    with pytest.raises(InputError, match="cannot be read"):
-        PublishedTeam.load(folder)
+    refuses("cannot be read", PublishedTeam.load, folder)
 
 
 def test_the_packaged_teams_differ_as_their_recordings_do() -> None:
@@ -102,5 +96,4 @@ def test_no_team_is_made_up() -> None:
     known = dict(demos.provenance)
     known.pop("trained")
     assert teams_of(replace(demos, provenance=known)) is None
-    with pytest.raises(InputError, match="does not say by which agents"):
-        teams_of(demos, Path("weights"))
+    refuses("does not say by which agents", teams_of, demos, Path("weights"))

@@ -1,7 +1,5 @@
 """As many thrust magnitudes are chosen as a classifier needs to be fooled."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

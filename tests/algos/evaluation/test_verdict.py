@@ -1,7 +1,5 @@
 """The verdict: a true simulator passes, and every way of being wrong is called by its name."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -10,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
+from refusals import refuses
 
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.exchange_test import Exchanges
@@ -25,7 +24,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.summary import unit_of
-from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 
@@ -202,8 +200,7 @@ def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
     assert set(found.areas["auc_sequence"]) == {"among", "floor", "ceiling"}
     assert 0 < found.realism.estimate < found.realism_beside["ceiling"]
     assert found.among.low < 0.5 < found.among.high
-    with pytest.raises(InputError, match="track the evaluated ones"):
-        verdict(demos, slow, seed=0, floor=others)
+    refuses("track the evaluated ones", verdict, demos, slow, seed=0, floor=others)
 
 
 def test_rollouts_told_the_other_condition_do_not_count() -> None:
@@ -213,8 +210,7 @@ def test_rollouts_told_the_other_condition_do_not_count() -> None:
         replace(true, cue=np.zeros(len(true))), replace(bad, cue=np.ones(len(bad)))
     ], "both")  # fmt: skip
     assert verdict(demos, told, seed=0, references=demos).rollouts == len(true)
-    with pytest.raises(InputError, match="were not made from"):
-        verdict(demos, replace(true, demo=true.demo + 1), seed=0)
+    refuses("were not made from", verdict, demos, replace(true, demo=true.demo + 1), seed=0)
 
 
 def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
@@ -418,5 +414,4 @@ def test_recordings_without_rollouts_are_left_out() -> None:
     exchanges = Exchanges.draw([0, 0, 2], 3, rng, 5)
     values = np.array([1.0, 1e9, 1.0, 1.0, 1.0, 1.0])
     assert exchanges.wasserstein(values).value == 0.0
-    with pytest.raises(InputError, match="recordings 0 to 2"):
-        Exchanges.draw([3], 3, rng)
+    refuses("recordings 0 to 2", Exchanges.draw, [3], 3, rng)

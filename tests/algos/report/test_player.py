@@ -1,7 +1,5 @@
 """What the player plays: the right paths of different starts, packed with little loss."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import json

@@ -1,7 +1,5 @@
 """The page of a run: one file that loads nothing, with all sections, and hostile names harmless."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

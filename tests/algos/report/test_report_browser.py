@@ -1,7 +1,5 @@
 """The page of a run in a browser: it plays, sorts, saves, fits every width, and says nothing."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterator
 from pathlib import Path

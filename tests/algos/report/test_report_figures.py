@@ -1,7 +1,5 @@
 """The figures of a report: what they hold, what they are called, what they refuse."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree
 

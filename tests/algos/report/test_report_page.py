@@ -1,7 +1,5 @@
 """What holds of the page without a browser: it loads nothing, can be read, and tells its names."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import itertools
@@ -13,16 +11,7 @@ from html_page import Page
 from report_inputs import report_page
 
 from animarl_algos.report.page import SCRIPTS, TEMPLATES
-from animarl_algos.report.style import (
-    COLOURS,
-    FLOOR,
-    PAGE,
-    PURSUERS,
-    RAISED,
-    TARGET,
-    TEXTS,
-    themed,
-)
+from animarl_algos.report.style import COLOURS, FLOOR, PAGE, PURSUERS, RAISED, TARGET, TEXTS, themed
 from animarl_envs.drawing.palette import RGB, to_hex
 
 MOST = 6_000_000  # bytes of a page

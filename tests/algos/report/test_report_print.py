@@ -3,8 +3,6 @@
 None is half empty. Printed by the browser, and read back with the place of every line.
 """
 
-from __future__ import annotations
-
 import unicodedata
 from collections.abc import Iterator
 from pathlib import Path

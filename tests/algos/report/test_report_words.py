@@ -1,7 +1,5 @@
 """What a report says in words follows from its numbers, and the numbers have their digits."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """What cannot become a faithful simulator is refused in one sentence, before any training."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -137,10 +135,7 @@ def test_a_model_of_other_thrust_magnitudes() -> None:
     ],
 )
 def test_demonstrations_too_few_to_split(
-    recordings: list[str],
-    mend: str,
-    tmp_path: Path,
-    animarl: Callable[..., Done],
+    recordings: list[str], mend: str, tmp_path: Path, animarl: Callable[..., Done]
 ) -> None:
     demos = load_packaged("fly").select(episodes=range(len(recordings)))
     split = np.array(["train", "val", "train"])[: len(recordings)]

@@ -1,7 +1,5 @@
 """SIGKILL at random moments, a few: ``benchmarks/kills.py`` does a thousand."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Test episodes are out of reach: poisoned ones change nothing before they are scored."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Trained models to give away: what is exported acts as the run did; those of the package load."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import Done
+from refusals import refuses
 from small_runs import made
 
 from animarl_algos import load_pretrained
@@ -59,8 +58,7 @@ def test_an_exported_model_acts_as_the_run(run: Run, tmp_path: Path) -> None:
 def test_recordings_are_given_away_only_when_asked(run: Run, tmp_path: Path) -> None:
     out = export_run(run, tmp_path / "model")
     assert not (out / "demonstrations.npz").exists()
-    with pytest.raises(InputError, match=r"demonstrations\.npz"):
-        load_pretrained(out)
+    refuses(r"demonstrations\.npz", load_pretrained, out)
     shutil.copyfile(run.path / "demonstrations.npz", out / "demonstrations.npz")
     assert answers(load_pretrained(out)) == answers(run.trained("soft-bc"))
 
@@ -71,25 +69,20 @@ def test_damaged_weights_are_refused(run: Run, tmp_path: Path) -> None:
     whole = file.read_bytes()
     for damaged in (whole[:-8], b"", b"\xff" * 200, whole[:8] + b"[" + whole[9:]):
         file.write_bytes(damaged)
-        with pytest.raises(InputError, match="not a policy of this run"):
-            load_pretrained(out)
+        refuses("not a policy of this run", load_pretrained, out)
 
 
 def test_what_cannot_be_exported_says_why(run: Run, tmp_path: Path) -> None:
     lacking = tmp_path / "run"
     shutil.copytree(run.path, lacking)
     shutil.rmtree(lacking / "evaluation")
-    with pytest.raises(InputError, match="needs its evaluation"):
-        export_run(Run(lacking), tmp_path / "model")
+    refuses("needs its evaluation", export_run, Run(lacking), tmp_path / "model")
     shutil.rmtree(lacking / "policies")
-    with pytest.raises(InputError, match="no trained policy"):
-        export_run(Run(lacking), tmp_path / "model")
+    refuses("no trained policy", export_run, Run(lacking), tmp_path / "model")
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.txt").write_text("1")
-    with pytest.raises(InputError, match="no model"):
-        export_run(run, tmp_path / "thesis")
-    with pytest.raises(InputError, match="no packaged model of that name"):
-        load_pretrained("cat")
+    refuses("no model", export_run, run, tmp_path / "thesis")
+    refuses("no packaged model of that name", load_pretrained, "cat")
 
 
 def test_no_run_is_written_over(run: Run, tmp_path: Path) -> None:
@@ -97,8 +90,7 @@ def test_no_run_is_written_over(run: Run, tmp_path: Path) -> None:
     shutil.copytree(run.path, other)
     before = (other / "settings.json").read_bytes()
     for exported in (run, Run(other)):
-        with pytest.raises(InputError, match="it is a run folder"):
-            export_run(exported, other)
+        refuses("it is a run folder", export_run, exported, other)
     assert (other / "settings.json").read_bytes() == before
     model = export_run(run, tmp_path / "model")
     assert export_run(run, model) == model
@@ -130,8 +122,7 @@ def test_recordings_of_other_individuals_are_refused(
     )
     file = other.save(tmp_path / "other.npz")
     words = f"other.npz: it shows {names[0]} .pursuer., .* learned from predator_0 .pursuer., pred"
-    with pytest.raises(InputError, match=words):
-        prepare("AnimaRL/Agent-v0", model=run.path, demos=file)
+    refuses(words, prepare, "AnimaRL/Agent-v0", model=run.path, demos=file)
 
 
 def test_the_command_exports_and_refuses(

@@ -1,7 +1,5 @@
 """A run: what ``load_run`` gives, its world, its lock, its machine, its times and its warnings."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from refusals import refuses
 from report_inputs import rendered, report_inputs
 from small_runs import few, made
 
@@ -47,10 +46,8 @@ def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:
     observation = np.zeros((3, *loaded.policy.observation_space.shape), dtype=np.float32)
     actions, _ = loaded.policy.predict(observation)
     assert actions.shape == (3,)
-    with pytest.raises(InputError, match="no such folder and no packaged model"):
-        load_run(run.path / "nowhere")
-    with pytest.raises(InputError, match="not a run folder"):
-        load_run(PAGE.parent)
+    refuses("no such folder and no packaged model", load_run, run.path / "nowhere")
+    refuses("not a run folder", load_run, PAGE.parent)
 
 
 def test_a_packaged_model_is_loaded_by_its_name() -> None:
@@ -88,12 +85,10 @@ def test_a_change_is_all_that_differs(run: Run) -> None:
     still = loaded.simulate(locomotion={"prey": {"thrust": 1e-9}})
     moved = [np.abs(np.diff(still.path(i)[:, -1], axis=0)).sum() for i in range(len(still))]
     assert max(moved) < 1e-3
-    with pytest.raises(InputError, match="changes what the policy is shown"):
-        loaded.simulate(num_pursuers=1)
+    refuses("changes what the policy is shown", loaded.simulate, num_pursuers=1)
     with pytest.raises(InputError, match="choose 'habit' or 'knows'"):
         loaded.simulate(reading="mixed")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="time_limitt"):
-        loaded.simulate(time_limitt=3)
+    refuses("time_limitt", loaded.simulate, time_limitt=3)
 
 
 @pytest.mark.parametrize(
@@ -114,10 +109,7 @@ def test_what_would_show_the_policy_something_else_is_refused_by_name(
 
 
 def test_the_page_runs_in_ten_lines(
-    run: Run,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.M | re.S)
     assert len(program.splitlines()) <= 10

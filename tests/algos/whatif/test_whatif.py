@@ -1,7 +1,5 @@
 """What-if questions: the words of changes, paired answers, warnings, and the command."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +10,7 @@ import pandas as pd
 import pytest
 from browser import chromium
 from commands import animarl
+from refusals import refuses
 
 from animarl_algos import load_run
 from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
@@ -88,10 +87,8 @@ def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:
     ],
 )
 def test_a_change_that_cannot_be_made_is_one_sentence(texts: list[str], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        parse_scenarios(texts, AGENT)
-    with pytest.raises(InputError, match="is given in 'furlong': use mm"):
-        options("arena=3furlong")
+    refuses(said, parse_scenarios, texts, AGENT)
+    refuses("is given in 'furlong': use mm", options, "arena=3furlong")
 
 
 def test_the_air_of_a_moth_is_changed_by_name() -> None:
@@ -108,8 +105,7 @@ def test_the_air_of_a_moth_is_changed_by_name() -> None:
         with pytest.raises(InputError, match=said):
             parse_scenarios([text], MOTH)[0].options(MOTH, MM)
     (both,) = parse_scenarios(["wind=x2", "plume=continuous"], MOTH)
-    with pytest.raises(InputError, match="only the model plume has a wind"):
-        both.options(MOTH, MM)
+    refuses("only the model plume has a wind", both.options, MOTH, MM)
 
 
 def test_a_moth_does_not_find_a_source_without_odour() -> None:
@@ -341,8 +337,7 @@ def test_a_cue_is_no_finding_where_permuted_conditions_shift_as_far(chase: Run) 
 def test_permutations_need_a_condition_that_can_be_permuted(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="none is changed: leave it out"):
         animarl("whatif", "agent", "--change", "arena=x2", "--permutations", "2")
-    with pytest.raises(InputError, match="change what is sensed"):
-        permuted_runs(load_run("silkmoth"), tmp_path / "permuted", 1)
+    refuses("change what is sensed", permuted_runs, load_run("silkmoth"), tmp_path / "permuted", 1)
     assert not (tmp_path / "permuted").exists()
 
 

@@ -1,7 +1,5 @@
 """The benchmark of what-ifs: what made the recordings, in the changed world, beside a clone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
