@@ -5,20 +5,19 @@ each frame (ties: the lower index). Where one pursues several, the focus of each
 pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
 its focus is the fixed upwind direction. Where nobody is pursued each animal has its own course:
 where it has been going over the last second (:data:`COURSE`), or another rule that is named
-(:func:`focus_rule`).
+(:func:`animarl_envs.locomotion.focus_rule`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.compiling import jit, part
-from animarl_envs.errors import InputError
+from animarl_envs.locomotion import ALONG, TO_NEAREST, TO_POINT, focus_rule
 
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
@@ -46,51 +45,6 @@ def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
     """An exponential mean, ``steps`` after its first value, with one more: the first few count
     alike, until one of them is a ``share`` of all."""
     return mean + max(share, 1.0 / (1.0 + steps)) * (value - mean)
-
-
-class FocusRule(NamedTuple):
-    """What each free animal is heading for, as kernels read it: see :func:`focus_rule`."""
-
-    kind: int
-    nearest: int = 0
-    x: float = 0.0
-    y: float = 0.0
-
-
-ON_COURSE, TO_NEAREST, ALONG, TO_POINT = range(4)
-
-
-def focus_rule(words: str) -> FocusRule:
-    """Return the rule for free animals that ``words`` name.
-
-    ``course``: its own; ``nearest``: the nearest other; ``centre K``: the centre of the K nearest;
-    ``direction X Y``: a fixed one; ``point X Y``: a place [arena unit].
-
-    Raises
-    ------
-    InputError
-        If they name none.
-    """
-    name, *numbers = str(words).split()
-    try:
-        found = tuple(float(number) for number in numbers)
-    except ValueError:
-        found = (math.nan,)
-    if all(map(math.isfinite, found)):
-        if (name, len(found)) == ("course", 0):
-            return FocusRule(ON_COURSE)
-        if (name, len(found)) == ("nearest", 0):
-            return FocusRule(TO_NEAREST, 1)
-        if (name, len(found)) == ("centre", 1) and found[0] >= 1 and found[0] == int(found[0]):
-            return FocusRule(TO_NEAREST, int(found[0]))
-        if (name, len(found)) == ("direction", 2) and any(found):
-            return FocusRule(ALONG, 0, *found)
-        if (name, len(found)) == ("point", 2):
-            return FocusRule(TO_POINT, 0, *found)
-    raise InputError(
-        f"focus is {words!r}: choose 'course', 'nearest', 'centre K', 'direction X Y' or "
-        "'point X Y'"
-    )
 
 
 @part
@@ -144,9 +98,9 @@ def focus_directions(
 ) -> NDArray[np.float64]:
     """Unit vectors towards the focus of each individual.
 
-    That of a free animal follows a ``rule`` (:func:`focus_rule`). Its course is told from its
-    ``velocities``, the ``steps`` since the start and their duration ``dt`` [s]; without them it has
-    not moved yet.
+    That of a free animal follows a ``rule`` (:func:`animarl_envs.locomotion.focus_rule`). Its
+    course is told from its ``velocities``, the ``steps`` since the start and their duration ``dt``
+    [s]; without them it has not moved yet.
 
     Parameters
     ----------

@@ -27,12 +27,11 @@ from animarl_envs.focus import (
     averaged,
     foci,
     focus_directions,
-    focus_rule,
     is_free,
     share_of,
 )
 from animarl_envs.kinematics import next_velocity, rebound
-from animarl_envs.locomotion import Locomotion, apply_actions
+from animarl_envs.locomotion import Locomotion, apply_actions, focus_rule
 
 Floats = NDArray[np.float64]
 

@@ -81,14 +81,14 @@ BUDGETS = {
     "animarl_algos.runs": 2_633,
     "animarl_algos.whatif": 2_017,
     "animarl_algos.zoo": 492,
-    "animarl_envs": 2_320,
+    "animarl_envs": 2_319,
     "animarl_envs.demos": 1_293,
     "animarl_envs.drawing": 1_060,
-    "animarl_envs.fitting": 2_540,
+    "animarl_envs.fitting": 2_539,
     "animarl_envs.importing": 5_402,
     "animarl_envs.species": 1_195,
     "animarl_envs.views": 961,
-    "animarl_envs.worlds": 4_106,
+    "animarl_envs.worlds": 4_107,
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
