@@ -180,6 +180,8 @@ def clone_row(task: str, episodes: int) -> float | None:
     model.set_random_seed(0)
     count, flagged = world.num_individuals, len(world.observation_components)
     flag = model.observation_space.shape[0] - flagged  # clones of two conditions are told which
+    if flag not in (0, 1):
+        return None  # it never saw the walls of the agents' task
     total, running, state = np.zeros(episodes), np.ones(episodes, bool), None
     begun = np.ones(episodes * count, bool)
     while running.any():

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
 import inspect
 import math
@@ -94,9 +95,26 @@ def task(species: Species) -> list[str]:
     changed = "".join(f", `{name}={value!r}`" for name, value in own.items())
     others = "the others follow their script, " if species.num_individuals > 1 else ""
     return [
+        *scores(species.name.capitalize()),
         f"By default it is a task for reinforcement learning: {others}time costs "
         f"(`time_cost={TIME_COST:g}`){changed}. `recorded=True` gives the world of the recordings "
-        "instead, without any of this; the learners that imitate have it."
+        "instead, without any of this; the learners that imitate have it.",
+    ]
+
+
+def scores(task: str) -> list[str]:
+    """Who earns what in the task, and in its variants, where that was measured."""
+    with (DOCS / "results" / "tasks" / "table.csv").open(newline="") as file:
+        rows = [row for row in csv.reader(file) if row[0].startswith(task)]
+    if not rows:
+        return []
+    return [
+        markdown_table(
+            ("environment", "policy", "mean return", "score", "seeds"),
+            [(f"`AnimaRL/{name}-v0`", *row) for name, *row in rows],
+        ),
+        "By `python benchmarks/tasks.py`, as far as it was run (`seeds` are those trained); it "
+        "says what each row is. A score is 0 for random actions and 1 for the best learner.",
     ]
 
 
