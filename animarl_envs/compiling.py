@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import gc
 import hashlib
 import re
 import shutil
@@ -32,21 +33,33 @@ _user_cache_dir: Any = appdirs.user_cache_dir
 # whatever they name of a module that they import whole.
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
 _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTILINE)
+COMPILING = "compiling for this machine, about 10 s, once; `animarl compile` does it beforehand"
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
 
+class CompilationWarning(UserWarning):
+    """Kernels are being compiled, which takes seconds, once on a machine."""
+
+
 class FirstCompilation(event.Listener):  # type: ignore[misc]
-    """Print on a terminal, once in a process, that kernels are being compiled."""
+    """Say once in a process that kernels are being compiled: a line, or in a log a warning."""
 
     said = False
 
     def on_start(self, of: Any) -> None:
         """A compilation begins; kernels that are found on the disk begin none."""
-        if self.said or not of.data["dispatcher"].py_func.__module__.startswith("animarl"):
+        module = str(of.data["dispatcher"].py_func.__module__)  # None of what exec made
+        if self.said or not module.startswith("animarl"):
             return
         self.said = True
-        if sys.stderr is not None and sys.stderr.isatty():
-            print("compiling kernels, about a minute, this once ...", file=sys.stderr)
+        terminal = sys.stderr is not None and sys.stderr.isatty()
+        try:
+            if not terminal:
+                warnings.warn(COMPILING, CompilationWarning, stacklevel=2)
+        except CompilationWarning:  # one that is made an error would stop a kernel midway
+            terminal = sys.stderr is not None
+        if terminal:
+            print(COMPILING, file=sys.stderr, flush=True)
 
     def on_end(self, of: Any) -> None:
         """Nothing to say."""
@@ -63,12 +76,49 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return functools.partial(jit, **options)
     with _cache_folder(function.__module__.partition(".")[0]):
-        return nb.njit(cache=True, **{"error_model": "numpy", **options})(function)
+        usual = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+        return nb.njit(**usual | options)(function)
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """Compile a part of a kernel, which is never called alone."""
-    return jit(function, forceinline=True)
+    """Compile a part of a kernel, which Python never calls."""
+    made = jit(function, forceinline=True, cache=False, no_cpython_wrapper=True)
+    _PARTS.add(function)
+    return made
+
+
+_PARTS: set[Any] = set()
+
+
+class PartsAsTheyAre(event.Listener):  # type: ignore[misc]
+    """Leave parts unoptimised: a kernel optimises all that it takes in, once and better.
+
+    By itself each would be optimised again at every level at which it is taken in, which was half
+    the time of a first step. Python's collector of cycles waits meanwhile: it would find nothing.
+    """
+
+    def __init__(self) -> None:
+        self._outer: list[Any] = []
+        self._collects = False
+
+    def on_start(self, of: Any) -> None:
+        """A compilation begins, perhaps within another."""
+        if not self._outer:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._outer.append(_SETTINGS.OPT)
+        level = self._outer[0]
+        is_part = of.data["dispatcher"].py_func in _PARTS
+        _SETTINGS.OPT = type(level)(0) if is_part else level
+
+    def on_end(self, of: Any) -> None:
+        """Go on with what it was a part of."""
+        _SETTINGS.OPT = self._outer.pop()
+        if not self._outer and self._collects:
+            gc.enable()
+
+
+event.register("numba:compile", PartsAsTheyAre())  # type: ignore[no-untyped-call]
 
 
 @contextmanager

@@ -101,6 +101,10 @@ What to know:
   (`AutoresetMode.NEXT_STEP`), or at once with `autoreset_mode="SameStep"`.
 - All individuals of a chase have the same observation and action spaces and end together. You need
   neither padding nor `black_death`.
+- The first step on a machine compiles for some seconds and says so; `animarl compile` does it
+  beforehand, for all species.
+- Observations are compact by default, 10 to 20 numbers for a chase; `observation="full"` gives what
+  this package's own models see.
 - SuperSuit's SB3 wrapper has no `seed()`. Give SB3 no `seed=`; seed as the example does.
 """
 

@@ -76,6 +76,7 @@ COMMANDS = {
     "report": Place("run", "report_command"),
     "export": Place("evaluate", "export_command"),
     "watch": Place("watch", "watch_command"),
+    "compile": Place("watch", "compile_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
 }
 """By name, in the order of the help."""

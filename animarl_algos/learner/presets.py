@@ -98,7 +98,8 @@ def learner_preset(
     found = merged(found, given)
     missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
     if missing:
-        raise InputError(f"{config or algo}: it does not say {missing[0]} for {env_id}: add it")
+        said = f"{config or algo}: it does not say {', '.join(missing)} for {env_id}"
+        raise InputError(f"{said}: add this, or begin the file with 'base: {algo}', which says all")
     arguments = {key: found[key] for key in sorted(found) if key not in RUN_KEYS}
     env_kwargs = found.get("env_kwargs") or {}
     return LearnerPreset(found["n_timesteps"], found["n_envs"], env_kwargs, arguments)
@@ -276,6 +277,8 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
         place = f"{name}: {section}"
         wrong = presets
         if isinstance(presets, dict):
+            if {"n_timesteps", "policy"} & set(presets):  # rl_zoo3's: settings without a preset
+                presets = {"default": {"n_envs": 1} | presets}
             wrong = next((str(key) for key in presets if key not in PRESETS), None)
         if wrong is not None:
             raise InputError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import partial
 from operator import index
 from typing import Any
@@ -147,6 +148,10 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
     def _take(self, actions: dict[str, int]) -> None:
         """Check the actions and write them down in order."""
         choose = f"choose 0 to {self.world.num_actions - 1}"
+        if not isinstance(actions, Mapping):
+            raise InputError(
+                f"actions are {actions!r}: give one to each of {', '.join(self.agents)}"
+            )
         if len(actions) > len(self.agents):
             stranger = next(agent for agent in actions if agent not in self.agents)
             raise InputError(

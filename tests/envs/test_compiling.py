@@ -117,3 +117,37 @@ def test_no_kernel_is_kept_elsewhere() -> None:
         for path in (ROOT / package).rglob("*.py"):
             if path.name != "compiling.py":
                 assert "cache=True" not in path.read_text(), path
+
+
+FIRST_STEP = """
+import gymnasium, animarl_envs
+from numba.core import event
+
+class Listener(event.Listener):
+    def on_start(self, of):
+        function = of.data["dispatcher"].py_func
+        if str(function.__module__).startswith("animarl"):  # None of what is made by exec
+            print(function.__name__)
+
+    def on_end(self, of):
+        pass
+
+event.register("numba:compile", Listener())
+env = gymnasium.make("AnimaRL/Agent-v0")
+env.reset(seed=0)
+env.step(0)
+"""
+
+
+def test_the_first_step_compiles_once_and_only_what_the_species_has(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_STEP], capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)},
+    )  # fmt: skip
+    compiled = done.stdout.split()
+    assert {"_begin", "start", "advance", "judge", "look"} <= set(compiled)
+    assert [compiled.count(name) for name in ("_begin", "start", "advance")] == [1, 1, 1]
+    # Headings, crowds, free animals, and what the compact observation does not hold.
+    absent = {"turned", "_in_each_copy", "look_around", "judge_free", "observe_own", "observe_wall"}
+    assert not absent & set(compiled)
+    assert "`animarl compile` does it beforehand" in done.stderr

@@ -19,7 +19,7 @@ from animarl_envs.focus import focus_directions
 from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.scenario import REPLAY
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.worlds.chase.layout import Seen
+from animarl_envs.worlds.chase.layout import ABSENT, Seen
 from animarl_envs.worlds.chase.neighbours import WHO
 
 NOT_RECORDED = -1  # in the place of a frame
@@ -123,8 +123,10 @@ def turned(i, heading, turn, velocity_x, velocity_y, frame, bodies):  # type: ig
 
 
 @part
-def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies):  # type: ignore[no-untyped-def]
+def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies, headed):  # type: ignore[no-untyped-def]
     """All bodies after a step; ``velocity`` ``(K, 2, B)`` is that of the step."""
+    if headed is None:
+        return
     for i in range(bodies.heading.shape[0]):
         for b in range(bodies.heading.shape[1]):
             frame = NOT_RECORDED
@@ -160,8 +162,10 @@ def _follow_frames(velocity, steps, bodies):  # type: ignore[no-untyped-def]
 
 
 @part
-def face(bodies):  # type: ignore[no-untyped-def]
+def face(bodies, headed):  # type: ignore[no-untyped-def]
     """Unit vectors of the headings."""
+    if headed is None:
+        return
     for i in range(bodies.heading.shape[0]):
         for b in range(bodies.heading.shape[1]):
             bodies.facing[i, 0, b] = math.cos(bodies.heading[i, b])
@@ -169,8 +173,10 @@ def face(bodies):  # type: ignore[no-untyped-def]
 
 
 @part
-def observe_headings(i, seen, towards, first, others, bodies, observation):  # type: ignore[no-untyped-def]
+def observe_headings(i, seen, towards, first, others, bodies, headed, observation):  # type: ignore[no-untyped-def]
     """Where individual ``i`` and the others that it sees point, in its frame."""
+    if headed is None or first[0, Seen.HEADING] == ABSENT:
+        return
     for rank in range(-1, seen):
         at = first[0, Seen.HEADING] if rank < 0 else first[rank + 1, Seen.OTHER_HEADING]
         for b in range(others.shape[2]):

@@ -91,13 +91,16 @@ ChaseState = namedtuple(
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
     "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty "
     "step_cost field walled lone free shoaling position velocity acceleration past towards bodies "
-    "traits own_traits neighbours nearest code components reward observation senses",
+    "traits own_traits neighbours nearest code components reward observation senses "
+    "headed full",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
 are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
 ``driven``: somebody ignores the caller; ``sharing`` is the condition where condition 1 shares the
 reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and left;
-``traits`` are those of training animals, ``own_traits`` those of the recorded episodes.
+``traits`` are those of training animals, ``own_traits`` those of the recorded episodes. ``free``,
+``headed`` (headings are a state) and ``full`` (more is observed than the compact observation) are
+None where a species has no such thing, and what they ask for is then not compiled either.
 """
 
 
@@ -120,8 +123,8 @@ def refer(parts):  # type: ignore[no-untyped-def]
 
 
 @jit
-def advance(asked, state):  # type: ignore[no-untyped-def]
-    """All of a step in one call; ``asked`` is ``(B, K)``; of a :class:`ChaseState`."""
+def advance(asked, moving, state):  # type: ignore[no-untyped-def]
+    """All of a step in one call, or where not ``moving`` only look; ``asked`` is ``(B, K)``."""
     dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
     damping, thrust, pushes, drivers = state.damping, state.thrust, state.pushes, state.drivers
     actions, position, velocity = state.actions, state.position, state.velocity
@@ -129,39 +132,32 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     step_count, code, warming = state.step_count, state.code, state.warming
     outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
     K, _, B = position.shape
-    for i in range(K):
+    if moving:
+        for i in range(K):
+            for b in range(B):
+                actions[i, b] = asked[b, i]
         for b in range(B):
-            actions[i, b] = asked[b, i]
-    for b in range(B):
-        step_count[b] += 1
-    if state.driven:
-        drive(drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field,
-              lone)  # fmt: skip
-    remember(velocity, step_count, state.senses, state.past)
-    move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
-    if state.walled:
-        rebound(field, position, velocity)
-    if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
-        replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
-    accelerate(velocity, state.senses, acceleration)
-    turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies)
-    if state.free:
-        judge_free(
-            position, field, state.walled, state.shoaling, state.contact_radius, dt, state.penalty,
-            code, state.components, state.reward,
-        )  # fmt: skip
-    else:
-        judge(
-            position, state.sharing, field, state.walled, lone, state.contact_radius, dt,
-            state.penalty, state.step_cost, state.nearest, code, state.components, state.reward,
-        )  # fmt: skip
-    for b in range(B):
-        outcome[b] = code[b]
-        terminated[b] = code[b] != TIME_OUT
-        truncated[b] = step_count[b] >= state.time_limit and code[b] == TIME_OUT
+            step_count[b] += 1
+        if state.driven:
+            drive(drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field,
+                  lone)  # fmt: skip
+        remember(velocity, step_count, state.senses, state.free, state.past)
+        move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
+        if state.walled:
+            rebound(field, position, velocity)
+        if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
+            replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
+        accelerate(velocity, state.senses, acceleration)
+        turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies,
+                    state.headed)  # fmt: skip
+        _end(state.free, state)
+        for b in range(B):
+            outcome[b] = code[b]
+            terminated[b] = code[b] != TIME_OUT
+            truncated[b] = step_count[b] >= state.time_limit and code[b] == TIME_OUT
     observe(
         position, velocity, acceleration, state.past, step_count, towards, state.bodies,
-        state.neighbours, state.senses, state.observation,
+        state.neighbours, state.senses, state.free, state.headed, state.full, state.observation,
     )  # fmt: skip
 
 
@@ -240,6 +236,21 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
 
 
 # -- ending and paying ----------------------------------------------------------------------------
+
+
+@part
+def _end(free, state):  # type: ignore[no-untyped-def]
+    if free is None:
+        judge(
+            state.position, state.sharing, state.field, state.walled, state.lone,
+            state.contact_radius, state.dt, state.penalty, state.step_cost, state.nearest,
+            state.code, state.components, state.reward,
+        )  # fmt: skip
+    else:
+        judge_free(
+            state.position, state.field, state.walled, state.shoaling, state.contact_radius,
+            state.dt, state.penalty, state.code, state.components, state.reward,
+        )  # fmt: skip
 
 
 @part

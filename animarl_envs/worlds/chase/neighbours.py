@@ -27,7 +27,7 @@ class Neighbours(NamedTuple):
     """Scratch of the senses; nothing in it decides anything."""
 
     others: NDArray[np.float64]  # (K - 1, 6, B), of the individual that is looking
-    order: NDArray[np.int16]  # (K, B, n), the many by distance at the last step; n = 0 for few
+    order: NDArray[np.int16] | None  # (K, B, n), the many by distance at the last step
     state: NDArray[np.float64]  # (B, 4, K) for many: x, y and velocity, each copy's in one place
     distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
 
@@ -40,24 +40,22 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
         order = np.zeros((1, 1, seen), dtype=np.int16)
         state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((1, seen))
         return Neighbours(np.zeros((max(1, seen), WHO + 1, B)), order, state, distance)
-    many = K - 1 if K - 1 > FEW else 0
-    order = np.zeros((K, B, many), dtype=np.int16)
-    for i in range(K if many else 0):
-        others = [j for j in range(K - 1) if j != i]
-        order[i, :, : len(others)] = others
-    state = np.zeros((B if many else 0, 4, K))
-    return Neighbours(np.zeros((K - 1, WHO + 1, B)), order, state, np.zeros((LINE, K)))
+    others = np.zeros((K - 1, WHO + 1, B))
+    if K - 1 <= FEW:
+        return Neighbours(others, None, np.zeros((0, 4, K)), np.zeros((LINE, K)))
+    order = np.zeros((K, B, K - 1), dtype=np.int16)
+    for i in range(K):
+        order[i, :, : K - 1 - (i < K - 1)] = [j for j in range(K - 1) if j != i]
+    return Neighbours(others, order, np.zeros((B, 4, K)), np.zeros((LINE, K)))
 
 
 @part
-def lay_out(position, velocity, observers, neighbours):  # type: ignore[no-untyped-def]
+def lay_out(position, velocity, observers, order, state):  # type: ignore[no-untyped-def]
     """Before anybody looks: where there are many, each copy's state is copied to one place."""
-    if neighbours.order.shape[2] == 0:
+    if order is None:
         return
-    for i in range(len(observers)):
-        if observers[i]:
-            _lay_out(position, velocity, neighbours.state)
-            return
+    if order.shape[2] > 0 and observers.any():
+        _lay_out(position, velocity, state)
 
 
 @jit
@@ -98,34 +96,31 @@ def find_focus(i, position, others):  # type: ignore[no-untyped-def]
 
 
 @part
-def look(i, position, velocity, neighbours):  # type: ignore[no-untyped-def]
+def look(i, position, velocity, order, neighbours):  # type: ignore[no-untyped-def]
     """Fill ``neighbours.others`` with what individual ``i`` sees; how many these are."""
     others = neighbours.others
-    last = position.shape[0] - 1
-    seen = 0
-    if i != last:
-        _relate(i, last, seen, position, velocity, others)
-        seen = 1
-    if neighbours.order.shape[2] > 0:
-        count = last if i == last else last - 1
-        _in_each_copy(i, seen, count, neighbours)
-        return seen + count
-    sorted_from = seen
-    for j in range(last):
-        if j != i:
-            _relate(i, j, seen, position, velocity, others)
-            seen += 1
-    for end in range(seen - 1, sorted_from, -1):  # stable bubble sort
-        for rank in range(sorted_from, end):
-            _exchange(rank, others)
-    return seen
+    K = position.shape[0]
+    first = 0 if i == K - 1 else 1  # the first rank of those in order of distance
+    if order is not None:
+        if first == 1:
+            _relate(i, K - 1, 0, position, velocity, others)
+        _in_each_copy(i, first, K - 1 - first, order, neighbours)
+    else:
+        own = (i + 1) % K  # the last one comes first
+        for k in range(K):
+            if k != own:
+                _relate(i, (k + K - 1) % K, k - 1 if k > own else k, position, velocity, others)
+        for end in range(K - 2, first, -1):  # stable bubble sort
+            for rank in range(first, end):
+                _exchange(rank, others)
+    return K - 1
 
 
 @jit
-def look_around(i, neighbours):  # type: ignore[no-untyped-def]
+def look_around(i, order, neighbours):  # type: ignore[no-untyped-def]
     """Fill ``neighbours.others`` with the nearest of all others, in order; how many these are."""
     others, state = neighbours.others, neighbours.state
-    best, who = neighbours.distance[0], neighbours.order[0, 0]
+    best, who = neighbours.distance[0], order[0, 0]
     most = len(who)
     for b in range(state.shape[0]):
         count = 0
@@ -178,7 +173,7 @@ def _exchange(rank, others):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _in_each_copy(i, first, count, neighbours):  # type: ignore[no-untyped-def]
+def _in_each_copy(i, first, count, order, neighbours):  # type: ignore[no-untyped-def]
     """The many seen by ``i``, from rank ``first``; a cache line of copies at a time."""
     others, state, distance = neighbours.others, neighbours.state, neighbours.distance
     for begin in range(0, others.shape[2], LINE):
@@ -187,10 +182,10 @@ def _in_each_copy(i, first, count, neighbours):  # type: ignore[no-untyped-def]
             for j in range(state.shape[2]):
                 dx, dy = state[b, 0, j] - state[b, 0, i], state[b, 1, j] - state[b, 1, i]
                 distance[b - begin, j] = math.sqrt(dx * dx + dy * dy)
-            _insert(neighbours.order[i, b], count, distance[b - begin])
+            _insert(order[i, b], count, distance[b - begin])
         for rank in range(count):
             for b in range(begin, end):
-                j = neighbours.order[i, b, rank]
+                j = order[i, b, rank]
                 others[first + rank, DX, b] = state[b, 0, j] - state[b, 0, i]
                 others[first + rank, DY, b] = state[b, 1, j] - state[b, 1, i]
                 others[first + rank, DVX, b] = state[b, 2, j] - state[b, 2, i]

@@ -65,7 +65,7 @@ class Senses(NamedTuple):
     shape: int
     edge: float  # half side or radius [arena unit]
     limit: int  # of an episode [steps]
-    free: bool  # each has its course for its focus, and sees its nearest few
+    free: bool | None  # each has its course for its focus, and sees its nearest few
     shares: NDArray[np.float64]  # of a step in each average of the past
     dt: float  # [s]
     rule: FocusRule  # of free animals
@@ -86,63 +86,67 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         SHAPE_CODES[arena.shape],
         arena.edge,
         scales.time_limit,
-        species.free,
+        species.free or None,
         past_shares(species),
         species.dt,
         focus_rule(species.focus),
     )
 
 
-@jit
+@part
 def observe(  # type: ignore[no-untyped-def]
-    position, velocity, acceleration, past, steps, towards, bodies, neighbours, senses, observation
-):
+    position, velocity, acceleration, past, steps, towards, bodies, neighbours, senses, free,
+    headed, full, observation,
+):  # fmt: skip
     """Focus directions of all and the observers' observations; ``neighbours`` is scratch, and of
     ``bodies`` what is no state.
 
     ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust, ``past``
     ``(scales, K, 2, B)`` are mean velocities (module ``past``), none where they are not seen, and
     ``steps`` ``(B,)`` count from the start. The first of the others is the focus; see
-    :data:`animarl_envs.focus.FALLBACK` for distance zero.
+    :data:`animarl_envs.focus.FALLBACK` for distance zero. ``free`` is None where there is a focus,
+    so that each has its course for it and sees its nearest few; ``full`` where only the compact
+    observation is wanted, ``headed`` where headings are no state.
     """
     first, observers, stride, own_velocity = (
         senses.first, senses.observers, senses.stride, senses.own_velocity,
     )  # fmt: skip
     near, scales, shape, edge = senses.near, senses.scales, senses.shape, senses.edge
-    free = senses.free
     others = neighbours.others
-    turning = first[0, Seen.HEADING] != ABSENT
-    if turning:
-        face(bodies)
-    lay_out(position, velocity, observers, neighbours)
+    face(bodies, headed)
+    lay_out(position, velocity, observers, neighbours.order, neighbours.state)
     for i in range(position.shape[0]):
-        if free:
-            _go_on(i, position, velocity, past, steps, senses, towards)
-        if not observers[i]:
-            if not free:
+        if free is None:
+            faced = 1  # how many of the others lie straight ahead by definition
+            if observers[i]:
+                seen = look(i, position, velocity, neighbours.order, neighbours)
+            else:
                 find_focus(i, position, others)
-                _face(i, others, towards)
-            continue
-        if free:
-            seen = look_around(i, neighbours)
-        else:
-            seen = look(i, position, velocity, neighbours)
+                seen = 0
             _face(i, others, towards)
-        observe_own(
-            i, position, velocity, acceleration, past, steps, towards, first, stride[i],
-            own_velocity[i], senses.limit, bodies, observation,
-        )  # fmt: skip
-        faced = 0 if free else 1  # how many of the others lie straight ahead by definition
-        _observe_others(
-            i, seen, faced, position, velocity, others, towards, first, near, observation
-        )
+        else:
+            faced = 0
+            _go_on(i, position, velocity, past, steps, senses, towards)
+            seen = look_around(i, neighbours.order, neighbours) if observers[i] else 0
+        if not observers[i]:
+            continue
+        _observe_motion(i, velocity, acceleration, towards, first, own_velocity[i], observation)
+        _observe_others(i, seen, faced, others, towards, first, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
-        if first[0, Seen.AT_WALL] != ABSENT:
-            observe_wall(
-                i, position, velocity, towards, first, stride[i], scales, shape, edge, observation
+        observe_headings(i, seen, towards, first, others, bodies, headed, observation)
+        if full is not None:
+            observe_own(
+                i, position, velocity, acceleration, past, steps, towards, first, stride[i],
+                own_velocity[i], senses.limit, bodies, observation,
+            )  # fmt: skip
+            _observe_more_of_others(
+                i, seen, faced, position, velocity, others, towards, first, near, observation
             )
-        if turning:
-            observe_headings(i, seen, towards, first, others, bodies, observation)
+            if first[0, Seen.AT_WALL] != ABSENT:
+                observe_wall(
+                    i, position, velocity, towards, first, stride[i], scales, shape, edge,
+                    observation,
+                )  # fmt: skip
 
 
 @part
@@ -199,28 +203,35 @@ def _put_plane(i, at, source, j, k, factor, observation):  # type: ignore[no-unt
 
 
 @part
-def _observe_others(  # type: ignore[no-untyped-def]
-    i, seen, faced, position, velocity, others, towards, first, near, observation
-):
+def _observe_others(i, seen, faced, others, towards, first, observation):  # type: ignore[no-untyped-def]
     """The others, seen from individual ``i``; ``faced`` of them lie straight ahead."""
     B = others.shape[2]
     for rank in range(seen):
         who = rank + 1
-        at, bearing_at = first[who, Seen.PLACE], first[who, Seen.BEARING]
-        apart_at, inverse_at = first[who, Seen.DISTANCE], first[who, Seen.NEARNESS]
-        place, going = first[who, Seen.OTHER_POSITION], first[who, Seen.OTHER_VELOCITY]
         for b in range(B):
-            observation[i, apart_at, b] = others[rank, APART, b]
-        _put(i, at, others, rank, DX, 1.0, towards, observation)
-        if rank < faced and at != ABSENT:
+            observation[i, first[who, Seen.DISTANCE], b] = others[rank, APART, b]
+        _put(i, first[who, Seen.PLACE], others, rank, DX, 1.0, towards, observation)
+        if rank < faced and first[who, Seen.PLACE] != ABSENT:
             for b in range(B):
-                observation[i, at + 1, b] = 0.0
+                observation[i, first[who, Seen.PLACE] + 1, b] = 0.0
+        _put(i, first[who, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
+
+
+@part
+def _observe_more_of_others(  # type: ignore[no-untyped-def]
+    i, seen, faced, position, velocity, others, towards, first, near, observation
+):
+    """What the compact observation does not hold of the others."""
+    B = others.shape[2]
+    for rank in range(seen):
+        who = rank + 1
+        bearing_at, inverse_at = first[who, Seen.BEARING], first[who, Seen.NEARNESS]
+        place, going = first[who, Seen.OTHER_POSITION], first[who, Seen.OTHER_VELOCITY]
         if bearing_at != ABSENT:
             for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
                 bearing = np.float32(0.0) if rank < faced else angle_of(ahead, left)
                 observation[i, bearing_at, b] = bearing
-        _put(i, first[who, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
         if rank >= faced and first[who, Seen.BEARING_CIRCLE] != ABSENT:
             _observe_direction_of(i, rank, others, towards, first, observation)
         if inverse_at != ABSENT:
@@ -270,25 +281,30 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
 
 
 @part
+def _observe_motion(i, velocity, acceleration, towards, first, factor, observation):  # type: ignore[no-untyped-def]
+    """Own velocity and acceleration; ``factor`` applies to velocities that have no scale."""
+    _put(i, first[0, Seen.VELOCITY], velocity, i, 0, factor, towards, observation)
+    at = first[0, Seen.ACCELERATION]
+    _put(i, at, acceleration, i, 0, 1.0, towards, observation)
+    if at != ABSENT:
+        for row in range(at, at + 2):
+            for b in range(velocity.shape[2]):
+                observation[i, row, b] = min(HARDEST, max(-HARDEST, observation[i, row, b]))
+
+
+@part
 def observe_own(  # type: ignore[no-untyped-def]
     i, position, velocity, acceleration, past, steps, towards, first, stride, factor, limit,
     bodies, observation,
 ):  # fmt: skip
-    """Own position, velocity on several scales, acceleration, and what a species senses beside.
+    """Own position, velocity on several scales, and what a species senses beside.
 
     ``factor`` applies to the velocities that have no scale.
     """
     B = position.shape[2]
     _put_plane(i, first[0, Seen.POSITION], position, i, 0, 1.0, observation)
     _put_plane(i, first[0, Seen.FOCUS], towards, i, 0, 1.0, observation)
-    _put(i, first[0, Seen.VELOCITY], velocity, i, 0, factor, towards, observation)
     _put_plane(i, first[0, Seen.PLANE_VELOCITY], velocity, i, 0, factor, observation)
-    at = first[0, Seen.ACCELERATION]
-    _put(i, at, acceleration, i, 0, 1.0, towards, observation)
-    if at != ABSENT:
-        for row in range(at, at + 2):
-            for b in range(B):
-                observation[i, row, b] = min(HARDEST, max(-HARDEST, observation[i, row, b]))
     if first[0, Seen.FINE] != ABSENT:
         _observe_scales(
             i, velocity, towards, first[0, Seen.FINE], first[0, Seen.COARSE],
@@ -422,9 +438,9 @@ def observe_wall(  # type: ignore[no-untyped-def]
 
 
 @part
-def remember(velocity, steps, senses, past):  # type: ignore[no-untyped-def]
+def remember(velocity, steps, senses, free, past):  # type: ignore[no-untyped-def]
     """Update the averages with the present, before step number ``steps`` ``(B,)`` is taken."""
-    if senses.free:
+    if free is not None:
         for i in range(velocity.shape[0]):
             for b in range(velocity.shape[2]):
                 _remember(i, b, b, velocity, steps[b] - 1, senses, past)
@@ -476,17 +492,18 @@ def remembered(
     past = np.zeros((past_scales(species), *velocity.shape))
     if len(past):
         first_past(velocity, steps == 0, past)
-        _remember_frames(velocity, steps, senses_of(species, np.zeros(0, dtype=bool)), past)
+        own = senses_of(species, np.zeros(0, dtype=bool))
+        _remember_frames(velocity, steps, own, own.free, past)
     return past
 
 
 @jit
-def _remember_frames(velocity, steps, senses, past):  # type: ignore[no-untyped-def]
+def _remember_frames(velocity, steps, senses, free, past):  # type: ignore[no-untyped-def]
     for i in range(velocity.shape[0]):
         for t in range(1, velocity.shape[2]):
             if steps[t] == 0:
                 continue
-            if senses.free:
+            if free is not None:
                 _remember(i, t - 1, t, velocity, steps[t - 1], senses, past)
                 continue
             for scale in range(past.shape[0]):

@@ -22,7 +22,7 @@ from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.locomotion import residual
 from animarl_envs.scenario import Scenario
-from animarl_envs.species import ChaseSpecies
+from animarl_envs.species import COMPACT, ChaseSpecies
 from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
@@ -115,7 +115,7 @@ class ChaseWorld(World):
                 field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
                 walled=arena.rebound,
                 lone=species.lone_pursuer,
-                free=species.free,
+                free=species.free or None,
                 shoaling=species.shoaling_reward,
                 position=self._position,
                 velocity=self._velocity,
@@ -123,6 +123,7 @@ class ChaseWorld(World):
                 past=self._past,
                 towards=self._towards,
                 bodies=self._bodies,
+                headed=species.has_headings or None,
                 traits=np.zeros((0, 1, 2)) if species.traits is None else species.traits.table,
                 own_traits=recorded_traits(species, scenario.demos),
                 neighbours=self._neighbours,
@@ -132,6 +133,7 @@ class ChaseWorld(World):
                 reward=self._reward,
                 observation=self._sensed,
                 senses=self._senses,
+                full=species.observation != COMPACT or None,
             ),
         )
 
@@ -141,10 +143,11 @@ class ChaseWorld(World):
             senses.first_past(self._velocity, mask, self._past)
         if self._species.has_headings:
             self._wake(mask)
-        senses.observe(
-            self._position, self._velocity, self._acceleration, self._past, self.step_count,
-            self._towards, self._bodies, self._neighbours, self._senses, self._sensed,
-        )  # fmt: skip
+        self._look()
+
+    def _look(self) -> None:
+        """Observe the present state, by the kernel of a step: there is one to compile."""
+        kernels.advance(np.zeros((0, 0), dtype=np.int64), False, self._reference)
 
     def _wake(self, mask: NDArray[np.bool_]) -> None:
         """The first headings of new episodes."""
@@ -159,7 +162,7 @@ class ChaseWorld(World):
         self.turn[mask] = 0.0
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        kernels.advance(actions, self._reference)
+        kernels.advance(actions, True, self._reference)
 
     def scene_details(self, copy: int) -> dict[str, Any]:
         """The headings, where they are a state of their own."""
@@ -186,26 +189,17 @@ def observe(
     frames, K, _ = position.shape
     acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
     steps = np.zeros(frames, dtype=np.int64) if steps is None else steps
-    observation = np.zeros((K, len(observation_components(species)), frames), dtype=np.float32)
-    towards = np.zeros((K, 2, frames))
-    towards[:, 0] = 1.0
-    bodies = recorded_bodies(species, position, velocity, steps, heading)
+    still = Scenario(species=species, start=np.zeros((K, 2)), drivers=("action",) * K)
+    world = ChaseWorld(still, frames)  # a copy for each frame
+    world.position[:], world.velocity[:], world.acceleration[:] = position, velocity, acceleration
+    if species.has_headings:
+        world.heading[:] = recorded_bodies(species, position, velocity, steps, heading).heading.T
     if traits is not None:
-        bodies.traits[:] = traits.transpose(2, 1, 0)
-    position, velocity, acceleration = (
-        np.ascontiguousarray(each.transpose(1, 2, 0), dtype=np.float64)
-        for each in (position, velocity, acceleration)
-    )
-    past = senses.remembered(species, velocity, steps)
-    everybody = senses.senses_of(species, np.ones(K, dtype=bool))
-    senses.observe(
-        position, velocity, acceleration, past, steps, towards, bodies,
-        neighbours_of(species, frames), everybody, observation,
-    )  # fmt: skip
-    return (
-        np.ascontiguousarray(observation.transpose(2, 0, 1)),
-        np.ascontiguousarray(towards.transpose(2, 0, 1)),
-    )
+        world.traits[:] = traits
+    world.step_count[:] = steps
+    world._past[:] = senses.remembered(species, world._velocity, steps)
+    world._look()
+    return np.ascontiguousarray(world.observation), np.ascontiguousarray(world.towards)
 
 
 def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:

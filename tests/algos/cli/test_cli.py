@@ -31,7 +31,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.callbacks import ProgressBar, with_progress_bar
 from animarl_algos.runs.folds import joined_rollouts, number_of_folds, trained_folds
 from animarl_algos.runs.run import Run
-from animarl_envs.compiling import FirstCompilation
+from animarl_envs.compiling import COMPILING, CompilationWarning, FirstCompilation
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
@@ -477,7 +477,23 @@ def test_a_first_compilation_says_so_once(there: bool, monkeypatch: pytest.Monke
     stream = Terminal(there)
     monkeypatch.setattr(sys, "stderr", stream)
     listener = FirstCompilation()
-    for module in ("scipy.special", "animarl_envs.worlds.base", "animarl_envs.dtw"):
-        function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
-        listener.on_start(SimpleNamespace(data={"dispatcher": function}))
-    assert stream.getvalue().count("compiling kernels") == there
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        for module in ("scipy.special", "animarl_envs.worlds.base", "animarl_envs.dtw"):
+            function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
+            listener.on_start(SimpleNamespace(data={"dispatcher": function}))
+    said = [str(one.message) for one in warned if one.category is CompilationWarning]
+    assert stream.getvalue().splitlines() == [COMPILING] * there
+    assert said == [COMPILING] * (not there)
+
+
+def test_a_first_compilation_goes_on_where_warnings_are_errors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stream = Terminal(False)
+    monkeypatch.setattr(sys, "stderr", stream)
+    function = SimpleNamespace(py_func=SimpleNamespace(__module__="animarl_envs.dtw"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        FirstCompilation().on_start(SimpleNamespace(data={"dispatcher": function}))
+    assert stream.getvalue().splitlines() == [COMPILING]

@@ -216,7 +216,8 @@ def test_bad_settings_are_refused_by_name(overrides: dict[str, Any], words: str)
         ("a: [", "not valid YAML"),
         ("base: nowhere", "zoo_configs/nowhere.yml: there is no such configuration"),
         ("base: 3", "base is 3"),
-        ("common: {default: {n_envs: 1}}", "does not say n_timesteps"),
+        ("common: {default: {n_envs: 1}}", "not say n_timesteps, policy for .* 'base: dqdil'"),
+        ("CartPole-v1: {policy: MlpPolicy, normalize: true}", "'normalize' is unknown"),
         ("common: {default: {gamma: !!python/name:os.system ''}}", "not valid YAML"),
     ],
 )
@@ -234,6 +235,16 @@ def test_a_file_of_ones_own_builds_on_those_of_the_package(tmp_path: Path) -> No
     assert mine.arguments == plain.arguments | {"alpha": 3.0, "learning_rate": "lin_1e-4"}
     rate = constructed(mine.arguments)["learning_rate"]
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([1e-4, 5e-5, 0.0])
+
+
+def test_a_section_as_rl_zoo3_writes_it_is_preset_default(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text(
+        "CartPole-v1:\n  n_timesteps: !!float 5e4\n  policy: 'MlpPolicy'\n  gamma: 0.9\n"
+    )
+    preset = learner_preset("dqn", "CartPole-v1", config=file)
+    assert (preset.n_timesteps, preset.n_envs) == (50_000, 1)
+    assert preset.arguments == {"policy": "MlpPolicy", "gamma": 0.9}
 
 
 def test_a_table_goes_over_the_one_below_key_by_key(tmp_path: Path) -> None:

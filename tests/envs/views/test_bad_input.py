@@ -220,6 +220,7 @@ def test_refused_action_shapes_and_names() -> None:
         refuses(r"give \(3,\)", vector.step, np.array(bad))
     refuses("no action for", everyone.step, {"prey": 0})
     refuses("an action for 'wolf'", everyone.step, {**dict.fromkeys(everyone.agents, 0), "wolf": 1})
+    refuses("actions are None: give one to each of predator_0", everyone.step, None)
 
 
 @every_view
