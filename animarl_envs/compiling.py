@@ -76,7 +76,7 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return functools.partial(jit, **options)
     with _cache_folder(function.__module__.partition(".")[0]):
-        usual = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+        usual: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         return nb.njit(**usual | options)(function)
 
 
