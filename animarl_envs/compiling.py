@@ -24,6 +24,7 @@ from typing import Any
 
 import numba as nb
 from numba.core import event
+from numba.core.registry import CPUDispatcher
 from numba.misc import appdirs
 
 _HERE = Path(__file__).resolve().parent
@@ -83,8 +84,20 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def part(function: Callable[..., Any]) -> Any:
     """Compile a part of a kernel, which Python never calls."""
     made = jit(function, forceinline=True, cache=False, no_cpython_wrapper=True)
+    if not _SETTINGS.DISABLE_JIT:
+        made.__class__ = PartDispatcher
     _PARTS.add(function)
     return made
+
+
+class PartDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """A part of a kernel: numba would crash if Python called it, since there is no way in."""
+
+    def __call__(self, *_: Any) -> None:
+        """Refuse the call."""
+        raise TypeError(
+            f"{self.py_func.__name__} is a part of a kernel: mark it with jit to call it"
+        )
 
 
 _PARTS: set[Any] = set()

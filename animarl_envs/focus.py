@@ -5,7 +5,7 @@ each frame (ties: the lower index). Where one pursues several, the focus of each
 pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
 its focus is the fixed upwind direction. Where nobody is pursued each animal has its own course:
 where it has been going over the last second (:data:`COURSE`), or another rule that is named
-(:func:`animarl_envs.locomotion.focus_rule`).
+(:func:`animarl_envs.checks.focus_rule`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import ALONG, TO_NEAREST, TO_POINT, focus_rule
 from animarl_envs.compiling import jit, part
-from animarl_envs.locomotion import ALONG, TO_NEAREST, TO_POINT, focus_rule
 
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
@@ -98,7 +98,7 @@ def focus_directions(
 ) -> NDArray[np.float64]:
     """Unit vectors towards the focus of each individual.
 
-    That of a free animal follows a ``rule`` (:func:`animarl_envs.locomotion.focus_rule`). Its
+    That of a free animal follows a ``rule`` (:func:`animarl_envs.checks.focus_rule`). Its
     course is told from its ``velocities``, the ``steps`` since the start and their duration ``dt``
     [s]; without them it has not moved yet.
 

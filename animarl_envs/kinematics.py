@@ -13,7 +13,7 @@ import numba as nb
 
 from animarl_envs import locomotion
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.compiling import part
+from animarl_envs.compiling import jit
 
 SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
@@ -61,7 +61,7 @@ def turn_between(before, after):  # type: ignore[no-untyped-def]
     return 0.0 if abs(turned) > HALF_TURN else turned
 
 
-@part
+@jit(forceinline=True)  # Python calls it, too
 def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
     """Hold everybody at the walls: the velocity into the wall is lost, that along it kept.
 

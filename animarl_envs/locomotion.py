@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -263,48 +263,3 @@ def _turned(egocentric: NDArray[np.floating], focus: NDArray[np.floating]) -> ND
     ahead, left = np.moveaxis(egocentric, -1, 0)
     x, y = np.moveaxis(focus, -1, 0)
     return np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)
-
-
-class FocusRule(NamedTuple):
-    """What each free animal is heading for, as kernels read it: see :func:`focus_rule`."""
-
-    kind: int
-    nearest: int = 0
-    x: float = 0.0
-    y: float = 0.0
-
-
-ON_COURSE, TO_NEAREST, ALONG, TO_POINT = range(4)
-
-
-def focus_rule(words: str) -> FocusRule:
-    """Return the rule for free animals that ``words`` name.
-
-    ``course``: its own; ``nearest``: the nearest other; ``centre K``: the centre of the K nearest;
-    ``direction X Y``: a fixed one; ``point X Y``: a place [arena unit].
-
-    Raises
-    ------
-    InputError
-        If they name none.
-    """
-    name, *numbers = str(words).split()
-    try:
-        found = tuple(float(number) for number in numbers)
-    except ValueError:
-        found = (math.nan,)
-    if all(map(math.isfinite, found)):
-        if (name, len(found)) == ("course", 0):
-            return FocusRule(ON_COURSE)
-        if (name, len(found)) == ("nearest", 0):
-            return FocusRule(TO_NEAREST, 1)
-        if (name, len(found)) == ("centre", 1) and found[0] >= 1 and found[0] == int(found[0]):
-            return FocusRule(TO_NEAREST, int(found[0]))
-        if (name, len(found)) == ("direction", 2) and any(found):
-            return FocusRule(ALONG, 0, *found)
-        if (name, len(found)) == ("point", 2):
-            return FocusRule(TO_POINT, 0, *found)
-    raise InputError(
-        f"focus is {words!r}: choose 'course', 'nearest', 'centre K', 'direction X Y' or "
-        "'point X Y'"
-    )

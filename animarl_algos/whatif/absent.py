@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.collect import Cue, Policy
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.focus import FALLBACK
 from animarl_envs.scenario import Condition, Scenario
 from animarl_envs.species import ChaseSpecies, Species
-from animarl_envs.species.base import Reading
+from animarl_envs.species.base import COMPACT, Reading
 from animarl_envs.species.options import change_world
 from animarl_envs.worlds.chase import senses
 from animarl_envs.worlds.chase.headings import bodies_of
@@ -176,6 +177,8 @@ class FewerWorld(ChaseWorld):
         self._all_senses = senses.senses_of(everybody, there)
         self._all_neighbours = neighbours_of(everybody, num_copies)
         self._all_bodies = bodies_of(everybody, num_copies)
+        full = everybody.observation != COMPACT
+        self._has = everybody.free or None, everybody.has_headings or None, full or None
         self._shown = np.zeros(
             (K, len(observation_components(everybody)), num_copies), dtype=np.float32
         )
@@ -200,9 +203,9 @@ class FewerWorld(ChaseWorld):
         past = np.zeros((len(self._past), *position.shape))
         past[:, self._own] = self._past
         towards = np.zeros_like(position)
-        senses.observe(
+        observe_all(
             position, velocity, acceleration, past, self.step_count, towards, self._all_bodies,
-            self._all_neighbours, self._all_senses, self._shown,
+            self._all_neighbours, self._all_senses, *self._has, self._shown,
         )  # fmt: skip
         self.observation = np.ascontiguousarray(self._shown[self._own].transpose(2, 0, 1))
 
@@ -262,3 +265,15 @@ class SubsetPolicy:
     def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
         inner = getattr(self.policy, "leave_out", None)
         return state if inner is None else inner(state, self._for_all(over))
+
+
+@jit
+def observe_all(  # type: ignore[no-untyped-def]
+    position, velocity, acceleration, past, steps, towards, bodies, neighbours, scales, free,
+    headed, full, observation,
+):  # fmt: skip
+    """What :func:`animarl_envs.worlds.chase.senses.observe` writes, for a caller in Python."""
+    senses.observe(
+        position, velocity, acceleration, past, steps, towards, bodies, neighbours, scales, free,
+        headed, full, observation,
+    )  # fmt: skip

@@ -180,7 +180,7 @@ class Demonstrations(Episodes):
 
     @property
     def focus_rule(self) -> str:
-        """What free animals head for, see :func:`animarl_envs.locomotion.focus_rule`."""
+        """What free animals head for, see :func:`animarl_envs.checks.focus_rule`."""
         return str(self.provenance.get("focus", "course"))
 
     def with_focus(self, rule: str) -> Self:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES, Arena
+from animarl_envs.checks import focus_rule
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -31,7 +32,7 @@ from animarl_envs.focus import (
     share_of,
 )
 from animarl_envs.kinematics import next_velocity, rebound
-from animarl_envs.locomotion import Locomotion, apply_actions, focus_rule
+from animarl_envs.locomotion import Locomotion, apply_actions
 
 Floats = NDArray[np.float64]
 

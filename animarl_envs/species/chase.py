@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from animarl_envs.checks import is_whole
+from animarl_envs.checks import focus_rule, is_whole
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import focus_rule
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, turnings_of
 
@@ -37,7 +36,7 @@ class ChaseSpecies(Species):
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
     free: bool = False  # nobody is pursued: each goes its own way, and contact ends nothing
     neighbours: int = 4  # how many of the others a free animal sees, the nearest
-    focus: str = "course"  # what a free animal's x axis points at: see locomotion.focus_rule
+    focus: str = "course"  # what a free animal's x axis points at: see checks.focus_rule
     shoaling_reward: bool = (
         False  # pays a free animal for time within the contact radius of another
     )

@@ -12,6 +12,7 @@ import pytest
 import animarl_algos
 from animarl_envs.compiling import _folder, _kernel_sources, source_key
 from animarl_envs.dtw import _aligned
+from animarl_envs.focus import averaged
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNEL = """
@@ -151,3 +152,8 @@ def test_the_first_step_compiles_once_and_only_what_the_species_has(tmp_path: Pa
     absent = {"turned", "_in_each_copy", "look_around", "judge_free", "observe_own", "observe_wall"}
     assert not absent & set(compiled)
     assert "`animarl compile` does it beforehand" in done.stderr
+
+
+def test_a_part_of_a_kernel_is_not_called_from_python() -> None:
+    with pytest.raises(TypeError, match="averaged is a part of a kernel"):
+        averaged(0.0, 1.0, 0.5, 1)

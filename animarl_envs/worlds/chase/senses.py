@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.checks import FocusRule, focus_rule
 from animarl_envs.compiling import jit, part
 from animarl_envs.focus import COURSE, FALLBACK, aim, averaged
-from animarl_envs.locomotion import FocusRule, focus_rule
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (

@@ -244,7 +244,7 @@ def test_target_and_contact_are_found_and_told_or_stated(files: list[Path], tmp_
     said = animarl(*words, "--contact", 0, "--target", "none")
     demos = Demonstrations.load(out)
     assert set(demos.roles) == {"pursuer"} and (demos.outcome == UNFINISHED).all()
-    assert "taken for" not in said
+    assert "taken for the target" not in said
 
 
 def test_merged_metadata_of_two_files(files: list[Path], tmp_path: Path) -> None:

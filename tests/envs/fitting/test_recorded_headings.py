@@ -115,7 +115,7 @@ def test_headings_stay_with_their_individuals_episodes_and_files(tmp_path: Path)
 
 def test_an_own_environment_sees_headings_and_goes_through_json(tmp_path: Path) -> None:
     path = str(recorded().save(tmp_path / "demos.npz"))
-    env = gym.make("AnimaRL/Custom-v0", demos=path)
+    env = gym.make("AnimaRL/Custom-v0", demos=path, observation="full")
     assert env.spec is not None
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     first, info = env.reset(seed=3)
@@ -123,7 +123,8 @@ def test_an_own_environment_sees_headings_and_goes_through_json(tmp_path: Path) 
     described = info["scenario"]
     assert json.loads(json.dumps(described)) == described
     assert described["senses_heading"] and described["turning"][1] is None
-    plainly = gym.make("AnimaRL/Custom-v0", demos=path, senses_heading=False, turning=None)
+    options = {"senses_heading": False, "turning": None, "observation": "full"}
+    plainly = gym.make("AnimaRL/Custom-v0", demos=path, **options)
     assert env.observation_space.shape[0] == plainly.observation_space.shape[0] + 6  # type: ignore[index]
 
 
@@ -177,7 +178,7 @@ def test_maps_of_values_are_made_with_the_headings_of_the_moment() -> None:
     decisions = decide_along(policy, species(), recorded(), focal="dog_a", demo=0)
     heading = demonstration_headings(species(), recorded())[decisions.moment, 0]
     towards = np.arctan2(decisions.focus[..., 1], decisions.focus[..., 0]).ravel()
-    env = gym.make("AnimaRL/Custom-v0", demos=recorded())
+    env = gym.make("AnimaRL/Custom-v0", demos=recorded(), observation="full")
     names = [c.name for c in env.unwrapped.world.observation_components]  # type: ignore[attr-defined]
     at = names.index("own heading cosine")
     assert policy.last[:, at] == pytest.approx(np.cos(heading - towards), abs=1e-5)
