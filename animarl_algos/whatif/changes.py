@@ -255,8 +255,8 @@ def _subject(name: str, text: str, species: Species) -> tuple[tuple[str, ...], s
     """Whom and what a name means."""
     if name == ADD:
         raise InputError(
-            f"{text!r}: every individual of this run has a network of its own with inputs for each "
-            "of the others, so none can be added: train a run with num_pursuers one higher"
+            f"{text!r}: a trained run takes no further individual: import recordings of as many, "
+            "or train with num_pursuers one higher, and ask that run"
         )
     if name in (START, REMOVE):
         return species.individuals if name == START else (), name

@@ -81,7 +81,7 @@ def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:
         (["arena=x1..x2/9", "contact=x1..x2/9"], "81 scenarios are asked for"),
         (["condition=moonlit"], "was never recorded: choose one of individual, shared"),
         (["prey.speed=x2", "all.thrust=x2"], "change the same thing: give one"),
-        (["add=predator"], "train a run with num_pursuers one higher"),
+        (["add=predator"], "or train with num_pursuers one higher"),
         (["remove=wolf"], "remove one of predator_0, predator_1, prey"),
         (["remove=prey", "prey.thrust=x2"], "who is removed: leave one out"),
     ],
