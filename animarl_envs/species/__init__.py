@@ -1,6 +1,7 @@
 """The species, by name."""
 
 import re
+from typing import Any
 
 from animarl_envs.errors import InputError
 from animarl_envs.species.agent import AGENT
@@ -18,8 +19,16 @@ SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH, S
 CUSTOM = "custom"
 """Name of a species made from demonstrations, by :mod:`animarl_envs.fitting.custom_species`."""
 
+TASKS: dict[str, dict[str, Any]] = {
+    "agent": {"rebound": True},
+    "fly": {"contact_radius": 0.1},
+    "silkmoth": {"start": "uniform", "start_region": (-0.1, 0.4, 0.25)},
+}
+"""What the views change of a species by default, so that one constant action does not solve its
+task; :func:`animarl_envs.views.common.task_options` has what they change of all."""
+
 __all__ = [
-    "AGENT", "COMPACT", "CUSTOM", "FLY", "NEWT", "SHOAL", "SILKMOTH", "SOLO", "SPECIES",
+    "AGENT", "COMPACT", "CUSTOM", "FLY", "NEWT", "SHOAL", "SILKMOTH", "SOLO", "SPECIES", "TASKS",
     "ChaseSpecies", "Recording", "SearchSpecies", "Species", "get_species",
     "species_name",
 ]  # fmt: skip

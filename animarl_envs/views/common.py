@@ -24,6 +24,7 @@ from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import (
     COMPACT,
     SPECIES,
+    TASKS,
     ChaseSpecies,
     SearchSpecies,
     Species,
@@ -35,16 +36,9 @@ from animarl_envs.worlds.base import World
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
 
-TASKS: dict[str, dict[str, Any]] = {
-    "agent": {"rebound": True},
-    "fly": {"contact_radius": 0.1},
-    "silkmoth": {"start": "uniform", "start_region": (-0.1, 0.4, 0.25)},
-}
-"""What the views change of a species by default, so that one constant action does not solve its
-task; :func:`task_options` has what they change of all. ``docs/results/tasks`` has the scores."""
 TIME_COST = 0.5  # of a whole episode [captures]
 CLASHES = {"rebound": ("arena", "boundary", "boundary_penalty"), "start": ("demos",)}
-"""Options that, when given, leave a default of :data:`TASKS` out."""
+"""Options that, when given, leave a default of :data:`animarl_envs.species.TASKS` out."""
 
 Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
 

@@ -86,8 +86,8 @@ BUDGETS = {
     "animarl_envs.drawing": 1_060,
     "animarl_envs.fitting": 2_540,
     "animarl_envs.importing": 5_402,
-    "animarl_envs.species": 1_194,
-    "animarl_envs.views": 966,
+    "animarl_envs.species": 1_203,
+    "animarl_envs.views": 960,
     "animarl_envs.worlds": 4_130,
     "animarl_envs.wrappers": 270,
 }
