@@ -34,7 +34,7 @@ _user_cache_dir: Any = appdirs.user_cache_dir
 # whatever they name of a module that they import whole.
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
 _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTILINE)
-COMPILING = "compiling for this machine, about 10 s, once; `animarl compile` does it beforehand"
+COMPILING = "compiling for this machine, about 15 s, once; `animarl compile` does it beforehand"
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
 
@@ -86,7 +86,6 @@ def part(function: Callable[..., Any]) -> Any:
     made = jit(function, forceinline=True, cache=False, no_cpython_wrapper=True)
     if not _SETTINGS.DISABLE_JIT:
         made.__class__ = PartDispatcher
-    _PARTS.add(function)
     return made
 
 
@@ -100,38 +99,28 @@ class PartDispatcher(CPUDispatcher):  # type: ignore[misc]
         )
 
 
-_PARTS: set[Any] = set()
-
-
-class PartsAsTheyAre(event.Listener):  # type: ignore[misc]
-    """Leave parts unoptimised: a kernel optimises all that it takes in, once and better.
-
-    By itself each would be optimised again at every level at which it is taken in, which was half
-    the time of a first step. Python's collector of cycles waits meanwhile: it would find nothing.
-    """
+class CollectorPaused(event.Listener):  # type: ignore[misc]
+    """Let Python's collector of cycles wait while a kernel is compiled: it would find nothing."""
 
     def __init__(self) -> None:
-        self._outer: list[Any] = []
+        self._depth = 0
         self._collects = False
 
     def on_start(self, of: Any) -> None:
         """A compilation begins, perhaps within another."""
-        if not self._outer:
+        if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
-        self._outer.append(_SETTINGS.OPT)
-        level = self._outer[0]
-        is_part = of.data["dispatcher"].py_func in _PARTS
-        _SETTINGS.OPT = type(level)(0) if is_part else level
+        self._depth += 1
 
     def on_end(self, of: Any) -> None:
         """Go on with what it was a part of."""
-        _SETTINGS.OPT = self._outer.pop()
-        if not self._outer and self._collects:
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
             gc.enable()
 
 
-event.register("numba:compile", PartsAsTheyAre())  # type: ignore[no-untyped-call]
+event.register("numba:compile", CollectorPaused())  # type: ignore[no-untyped-call]
 
 
 @contextmanager

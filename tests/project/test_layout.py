@@ -81,7 +81,7 @@ BUDGETS = {
     "animarl_algos.runs": 2_633,
     "animarl_algos.whatif": 2_032,
     "animarl_algos.zoo": 492,
-    "animarl_envs": 2_382,
+    "animarl_envs": 2_371,
     "animarl_envs.demos": 1_293,
     "animarl_envs.drawing": 1_060,
     "animarl_envs.fitting": 2_540,
