@@ -31,7 +31,7 @@ from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import FAST
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method, doubts
-from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, compare_states
+from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, StateFit, compare_states
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
 from animarl_envs.species import get_species
@@ -339,12 +339,10 @@ def _compare_states(
                 rows.append(dict(zip(STATE_COLUMNS, found, strict=True)))
             if not fit.supported:
                 words.append(
-                    f"{name}: {len(fit.damping)} states with {fit.thrusts.shape[1]} thrusts are "
-                    f"not supported by these recordings: one holds {fit.share.min():.1%} of time"
+                    f"{name}: {_model(fit)} are not supported by these recordings: one state "
+                    f"holds {fit.share.min():.1%} of time"
                 )
-        number, magnitudes = fits[best].thrusts.shape
-        words.append(f"{name}: best explained by {_counted(number, 'state')} with "
-                     f"{_counted(magnitudes, 'thrust')}")  # fmt: skip
+        words.append(f"{name}: best explained by {_model(fits[best])}")
     kind = "synthetic" if demos.synthetic else "recorded"
     caption = (
         f"Fitted on {kind} training episodes, at most {MOST_STEPS:,} steps of each individual; "
@@ -361,5 +359,7 @@ def _compare_states(
     return [row | {"thrust": " ".join(map(str, row["thrust"]))} for row in rows]
 
 
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+def _model(fit: StateFit) -> str:
+    """In words, such as "2 states with 1 thrust"."""
+    counts = zip(fit.thrusts.shape, ("state", "thrust"), strict=True)
+    return " with ".join(f"{count} {noun}{'s' * (count != 1)}" for count, noun in counts)

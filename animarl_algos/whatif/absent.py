@@ -20,12 +20,11 @@ from animarl_algos.evaluation.collect import Cue, Policy
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.focus import FALLBACK
 from animarl_envs.scenario import Condition, Scenario
 from animarl_envs.species import ChaseSpecies, Species
-from animarl_envs.species.base import COMPACT, Reading
+from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
 from animarl_envs.worlds.chase import senses
 from animarl_envs.worlds.chase.headings import bodies_of
@@ -84,26 +83,6 @@ class Present:
             sense_scales=whole.sense_scales and whole.sense_scales.select(self.own),
         )
 
-    def demonstrations(self, demos: Demonstrations) -> Demonstrations:
-        """Return the recordings of those who are left, for their starts."""
-        own, everybody = list(self.own), demos.num_individuals
-        outcome = demos.outcome.copy()
-        for k in np.unique(outcome[outcome > 0]).tolist():
-            there = k - 1 in own
-            outcome[demos.outcome == k] = own.index(k - 1) + 1 if there else UNFINISHED
-        return replace(
-            demos,
-            individuals=tuple(demos.individuals[i] for i in own),
-            roles=tuple(demos.roles[i] for i in own),
-            positions=demos.positions[:, own],
-            initial_velocity=demos.initial_velocity[:, own],
-            outcome=outcome,
-            signals={
-                key: value[:, own] if value.shape[1:2] == (everybody,) else value
-                for key, value in demos.signals.items()
-            },
-        )
-
 
 def simulate_from(
     run: Any,
@@ -124,7 +103,7 @@ def simulate_from(
     species, make, act = change_world(run.scenario.species, reading, **options), None, wrap
     if absent:
         present = Present.without(species, absent)
-        demos, species = present.demonstrations(demos), present.species
+        demos, species = demos.of_individuals(present.own), present.species
         farthest = farthest_pursuer(run.demos.select(split="train"))
 
         def act(policy: Policy) -> Policy:
@@ -177,8 +156,7 @@ class FewerWorld(ChaseWorld):
         self._all_senses = senses.senses_of(everybody, there)
         self._all_neighbours = neighbours_of(everybody, num_copies)
         self._all_bodies = bodies_of(everybody, num_copies)
-        full = everybody.observation != COMPACT
-        self._has = everybody.free or None, everybody.has_headings or None, full or None
+        self._branches = senses.branches_of(everybody)
         self._shown = np.zeros(
             (K, len(observation_components(everybody)), num_copies), dtype=np.float32
         )
@@ -205,7 +183,7 @@ class FewerWorld(ChaseWorld):
         towards = np.zeros_like(position)
         observe_all(
             position, velocity, acceleration, past, self.step_count, towards, self._all_bodies,
-            self._all_neighbours, self._all_senses, *self._has, self._shown,
+            self._all_neighbours, self._all_senses, *self._branches, self._shown,
         )  # fmt: skip
         self.observation = np.ascontiguousarray(self._shown[self._own].transpose(2, 0, 1))
 

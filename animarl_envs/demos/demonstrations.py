@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -227,6 +227,31 @@ class Demonstrations(Episodes):
                 "another split"
             )
         return super().select(chosen)
+
+    def of_individuals(self, kept: Sequence[int]) -> Self:
+        """Return the recordings of some of the individuals.
+
+        An episode that ended by the contact of one who is left out is unfinished. Recorded actions
+        are left out: their directions may refer to somebody who is gone.
+        """
+        own, everyone, outcome = list(kept), self.num_individuals, self.outcome.copy()
+        for k in np.unique(outcome[outcome > 0]).tolist():
+            ended = own.index(k - 1) + 1 if k - 1 in own else UNFINISHED
+            outcome[self.outcome == k] = ended
+        signals = {
+            key: value[:, own] if value.ndim > 1 and value.shape[1] == everyone else value
+            for key, value in self.signals.items()
+            if key != "actions"
+        }
+        return replace(
+            self,
+            individuals=tuple(self.individuals[i] for i in own),
+            roles=tuple(self.roles[i] for i in own),
+            positions=self.positions[:, own],
+            initial_velocity=self.initial_velocity[:, own],
+            outcome=outcome,
+            signals=signals,
+        )
 
     def _frames(self, frames: NDArray[np.int64]) -> dict[str, Any]:
         signals = {key: value[frames] for key, value in self.signals.items()}

@@ -12,7 +12,6 @@ import numpy as np
 
 from animarl_envs.checks import is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 
 ALIKE = ("species", "individuals", "roles", "dt", "arena")
@@ -133,21 +132,5 @@ def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrati
         )
     if count == recorded:
         return demos
-    everyone = demos.num_individuals
-    kept = [*range(count), *range(recorded, everyone)]  # several of a role come first
-    # Recorded actions are left out: their directions may refer to somebody who is gone now.
-    outcome = np.where(demos.outcome > count, UNFINISHED, demos.outcome)
-    signals = {
-        key: value[:, kept] if value.ndim > 1 and value.shape[1] == everyone else value
-        for key, value in demos.signals.items()
-        if key != "actions"
-    }
-    return replace(
-        demos,
-        individuals=tuple(demos.individuals[i] for i in kept),
-        roles=tuple(demos.roles[i] for i in kept),
-        positions=demos.positions[:, kept],
-        initial_velocity=demos.initial_velocity[:, kept],
-        outcome=outcome,
-        signals=signals,
-    )
+    # several of a role come first
+    return demos.of_individuals([*range(count), *range(recorded, demos.num_individuals)])

@@ -26,17 +26,24 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import fast_speed, fit_joint
 from animarl_envs.fitting.transitions import transitions
-from animarl_envs.locomotion import ACTION_VECTORS, NUM_DIRECTIONS, fixed_multiples, residual
+from animarl_envs.locomotion import (
+    ACTION_VECTORS,
+    NUM_DIRECTIONS,
+    Locomotion,
+    fixed_multiples,
+    residual,
+)
 
 Floats = NDArray[np.float64]
 
 MOST_STATES = 5
-MOST_STEPS = 6_000  # of training, whole episodes; more changes d and u in their third digit
+MOST_STEPS = 6_000  # of training, in whole episodes: a fit takes seconds
 ITERATIONS = 200
 TOLERANCE = 1e-5  # nats a step by which an iteration must gain
 JUMPS = 0.002  # share of steps that the broad error explains
 BROAD = 5.0  # its standard deviation over that of the velocity's changes
 STICKY = 10.0  # steps of staying that are added to what was counted
+TINY = 1e-300  # in the place of zero, whose logarithm there is none of
 LEAST_NOISE = 1e-3  # of the velocity's changes
 MATTERS = 0.01  # nats a step; a smaller gain is none
 LEAST_SHARE = 0.01  # of all steps; a state that holds less is not supported by the data
@@ -121,28 +128,7 @@ def fit_states(demos: Demonstrations, individual: int, states: int, thrusts: int
     InputError
         If the number of states is none of 1 to 5, or there are no episodes to train or validate.
     """
-    if not 1 <= states <= MOST_STATES:
-        raise InputError(f"states is {states}: choose 1 to {MOST_STATES}")
-    for split in ("train", "val"):
-        if not (demos.split == split).any():
-            raise InputError(
-                f"{demos.name}: it has no {split} episodes, and states are fitted on train and "
-                "compared on val: import it with at least 3 recordings"
-            )
-    training = demos.select(split="train")
-    last = int(np.searchsorted(np.cumsum(training.lengths - 1), MOST_STEPS)) + 1
-    seen = _steps(training.select(episodes=np.arange(min(last, len(training)))), individual)
-    best = max(
-        (_maximise(seen, start, demos.dt) for start in _starts(training, individual, states,
-         thrusts, seen)), key=lambda found: found[1],
-    )[0]  # fmt: skip
-    unseen = demos.select(split="val")
-    held_out = [
-        _forward(steps, best)[1] / len(steps)
-        for episode in range(len(unseen))
-        if len(steps := _steps(unseen.select(episodes=np.array([episode])), individual))
-    ]
-    return replace(best, held_out=np.array(held_out))
+    return compare_states(demos, individual, (states,), (thrusts,))[0][0]
 
 
 def compare_states(
@@ -152,13 +138,38 @@ def compare_states(
 
     The best is the one with the fewest parameters among those whose held-out likelihood is within
     one standard error, over episodes, of the highest (Breiman et al. 1984), or a hundredth of a
-    nat.
+    nat. Errors are those of :func:`fit_states`.
 
     Returns
     -------
     The fits, states in the outer loop, and the index of the best.
     """
-    fits = [fit_states(demos, individual, s, m) for s in states for m in thrusts]
+    for number in states:
+        if not 1 <= number <= MOST_STATES:
+            raise InputError(f"states is {number}: choose 1 to {MOST_STATES}")
+    for split in ("train", "val"):
+        if not (demos.split == split).any():
+            raise InputError(
+                f"{demos.name}: it has no {split} episodes, and states are fitted on train and "
+                "compared on val: import it with at least 3 recordings"
+            )
+    training, unseen = demos.select(split="train"), demos.select(split="val")
+    data = transitions(training, individual)
+    one = fit_joint(data, f"{demos.name}: {demos.individuals[individual]}", fast_speed(data))
+    last = int(np.searchsorted(np.cumsum(training.lengths - 1), MOST_STEPS)) + 1
+    seen = _steps(training.select(episodes=np.arange(min(last, len(training)))), individual)
+    held_out = [
+        _steps(unseen.select(episodes=np.array([episode])), individual)
+        for episode in range(len(unseen))
+    ]
+
+    def fitted(count: int, magnitudes: int) -> StateFit:
+        starts = _starts(seen, one, count, magnitudes, demos.dt)
+        best, _ = max((_maximise(seen, *start) for start in starts), key=lambda found: found[1])
+        nats = [_expected(steps, best)[0] / len(steps) for steps in held_out if len(steps)]
+        return replace(best, held_out=np.array(nats))
+
+    fits = [fitted(count, magnitudes) for count in states for magnitudes in thrusts]
     top = max(fits, key=lambda fit: fit.held_out.mean())
 
     def near(fit: StateFit) -> bool:
@@ -194,14 +205,12 @@ def _steps(demos: Demonstrations, individual: int) -> Steps:
 
 
 def _starts(
-    demos: Demonstrations, individual: int, states: int, thrusts: int, seen: Steps
+    seen: Steps, one: Locomotion, states: int, thrusts: int, dt: float
 ) -> list[tuple[Floats, StateFit]]:
     """Where the search begins: steps dealt to states by speed, and by acceleration, over a second.
 
     Each is the probabilities of states, ``(steps, S)``, with a model of one locomotion for all.
     """
-    data = transitions(demos, individual)
-    one = fit_joint(data, f"{demos.name}: {demos.individuals[individual]}", fast_speed(data))
     change = seen.after - seen.before
     spread = math.sqrt(float((change**2).mean())) or 1e-9
     actions = NUM_DIRECTIONS * thrusts + 1
@@ -212,11 +221,11 @@ def _starts(
         pushes=np.full(actions, 1.0 / actions),
         stay=np.full((states, states), 0.1 / max(states - 1, 1)),
         broad=BROAD * spread,
-        dt=demos.dt,
+        dt=dt,
         held_out=np.empty(0),
     )
     np.fill_diagonal(model.stay, 0.9 if states > 1 else 1.0)
-    window = np.ones(max(round(1.0 / demos.dt), 1))
+    window = np.ones(max(round(1.0 / dt), 1))
     found = []
     for quantity in (seen.after, change) if states > 1 else (seen.after,):
         length = np.hypot(quantity[:, 0], quantity[:, 1])
@@ -226,19 +235,17 @@ def _starts(
     return found
 
 
-def _maximise(seen: Steps, start: tuple[Floats, StateFit], dt: float) -> tuple[StateFit, float]:
+def _maximise(seen: Steps, weight: Floats, model: StateFit) -> tuple[StateFit, float]:
     """Expectation maximisation; returns the model, slowest state first, and its nats a step."""
-    weight, model = start
-    counts = model.stay * 0
+    counts = np.zeros_like(model.stay)
     found = -math.inf
     for _ in range(ITERATIONS):
         model = _fitted(seen, weight, counts, model)
-        emission, nats = _forward(seen, model)
+        nats, weight, counts = _expected(seen, model)
         if nats / len(seen) < found + TOLERANCE:
             break
         found = nats / len(seen)
-        weight, counts = _smoothed(emission, np.log(model.stay + 1e-300), seen.begins)
-    speed = [model.thrusts[s].max() * dt / max(model.damping[s], 1e-3) for s in range(len(counts))]
+    speed = model.thrusts.max(axis=1) * model.dt / np.maximum(model.damping, 1e-3)
     order = np.argsort(speed)
     model = replace(
         model, damping=model.damping[order], thrusts=model.thrusts[order],
@@ -247,38 +254,42 @@ def _maximise(seen: Steps, start: tuple[Floats, StateFit], dt: float) -> tuple[S
     return model, found
 
 
-def _log_actions(seen: Steps, model: StateFit, state: int) -> Floats:
-    """Log probability of each action with the step that followed, ``(steps, 12 M + 1)``."""
-    rest = residual(seen.after, seen.before, float(model.damping[state]))
-    vectors = model.dt * _vectors(model.thrusts[state])
+def _misses(seen: Steps, damping: float, vectors: Floats) -> Floats:
+    """Squared distance of each step's push to each of ``vectors``, ``(steps, 12 M + 1)``."""
+    rest = residual(seen.after, seen.before, damping)
     square = (rest**2).sum(axis=1)[:, None] - 2 * rest @ vectors.T + (vectors**2).sum(axis=1)
-    variance = model.noise[state] ** 2
-    log_push = np.log(model.pushes + 1e-300)
-    return np.asarray(log_push - square / (2 * variance) - math.log(2 * math.pi * variance))
+    return np.asarray(square)
 
 
-def _forward(seen: Steps, model: StateFit) -> tuple[Floats, float]:
-    """Log density of each step in each state, ``(steps, S)``, and the nats of all steps."""
+def _log_actions(seen: Steps, model: StateFit, state: int) -> tuple[Floats, Floats]:
+    """Log density of each step with each action, ``(steps, 12 M + 1)``, and of it in all,
+    ``(steps,)``, where it may be a tracking jump as well.
+    """
     change = ((seen.after - seen.before) ** 2).sum(axis=1)
-    jump = -change / (2 * model.broad**2) - math.log(2 * math.pi * model.broad**2)
-    columns = [
-        np.logaddexp(
-            math.log1p(-JUMPS) + np.logaddexp.reduce(_log_actions(seen, model, s), axis=1),
-            math.log(JUMPS) + jump,
-        )
-        for s in range(len(model.damping))
-    ]
-    emission = np.stack(columns, axis=1)
-    with np.errstate(divide="ignore"):
-        nats = forward(emission, np.log(model.stay + 1e-300), np.log(model.share.clip(1e-300)),
-                       seen.begins)  # fmt: skip
-    return emission, float(nats)
+    jump = math.log(JUMPS) + _log_normal(change, model.broad)
+    square = _misses(seen, float(model.damping[state]), model.dt * _vectors(model.thrusts[state]))
+    each = math.log1p(-JUMPS) + np.log(model.pushes + TINY)
+    each = each + _log_normal(square, float(model.noise[state]))
+    return each, np.logaddexp(np.logaddexp.reduce(each, axis=1), jump)
 
 
-def _smoothed(emission: Floats, stay: Floats, begins: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    weight, counts = np.empty_like(emission), np.zeros_like(stay)
-    smooth(emission, stay, begins, weight, counts)
-    return weight, counts
+def _log_normal(square: Floats, deviation: float) -> Floats:
+    """Log density of a Gaussian error in the plane, of that squared length."""
+    return -square / (2 * deviation**2) - math.log(2 * math.pi * deviation**2)
+
+
+def _expected(seen: Steps, model: StateFit) -> tuple[float, Floats, Floats]:
+    """Nats of all steps, the probabilities of states ``(steps, S)``, and the counts ``(S, S)`` of
+    which state follows which.
+    """
+    emission = np.stack(
+        [_log_actions(seen, model, s)[1] for s in range(len(model.damping))], axis=1
+    )
+    weight, counts = np.empty_like(emission), np.zeros_like(model.stay)
+    nats = forward_backward(
+        emission, model.stay, model.share.clip(TINY), seen.begins, weight, counts
+    )
+    return float(nats), weight, counts
 
 
 def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> StateFit:
@@ -287,12 +298,9 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
     damping, thrusts, noise = (a.copy() for a in (model.damping, model.thrusts, model.noise))
     pushes = np.full(len(model.pushes), 1e-6)
     unit = model.dt * _vectors(np.ones(magnitudes))
-    change = ((seen.after - seen.before) ** 2).sum(axis=1)
-    jump = math.log(JUMPS) - change / (2 * model.broad**2) - math.log(2 * math.pi * model.broad**2)
     for s in range(states):
-        log = math.log1p(-JUMPS) + _log_actions(seen, model, s)
-        each = np.exp(log - np.logaddexp(np.logaddexp.reduce(log, axis=1), jump)[:, None])
-        each *= weight[:, s, None]
+        log, whole = _log_actions(seen, model, s)
+        each = np.exp(log - whole[:, None]) * weight[:, s, None]
         pushes += each.sum(axis=0)
         total = each.sum(axis=1)
         onto_before = ((each.T @ seen.before) * unit).sum(axis=1)
@@ -305,13 +313,11 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
             gram[0, 1 + j] = gram[1 + j, 0] = onto_before[own].sum()
             gram[1 + j, 1 + j] = model.dt**2 * each[:, own].sum()
             right[1 + j] = onto_after[own].sum()
-        tiny = 1e-9 * np.diag(gram).max() + 1e-300
-        kept, *pushed = np.linalg.solve(gram + tiny * np.eye(len(gram)), right)
+        ridge = 1e-9 * np.diag(gram).max() + TINY
+        kept, *pushed = np.linalg.solve(gram + ridge * np.eye(len(gram)), right)
         damping[s] = 1.0 - min(max(kept, 0.0), 1.0)
         thrusts[s] = np.maximum(pushed, 1e-9)
-        miss = residual(seen.after, seen.before, float(damping[s]))
-        vectors = model.dt * _vectors(thrusts[s])
-        square = (miss**2).sum(axis=1)[:, None] - 2 * miss @ vectors.T + (vectors**2).sum(axis=1)
+        square = _misses(seen, float(damping[s]), model.dt * _vectors(thrusts[s]))
         variance = float((each * square).sum()) / (2 * max(float(total.sum()), 1e-12))
         noise[s] = max(math.sqrt(max(variance, 0.0)), LEAST_NOISE * model.broad / BROAD)
     stay = model.stay
@@ -332,48 +338,25 @@ def _vectors(thrusts: Floats) -> Floats:
 
 
 @jit
-def forward(emission, stay, first, begins):  # type: ignore[no-untyped-def]
-    """Log likelihood of all sequences; logarithms ``(steps, S)``, ``(S, S)`` and ``(S,)``."""
-    steps, states = emission.shape
-    now, later = np.empty(states), np.empty(states)
-    nats = 0.0
-    for t in range(steps):
-        for s in range(states):
-            if begins[t]:
-                later[s] = first[s] + emission[t, s]
-                continue
-            most = now[0] + stay[0, s]
-            for r in range(1, states):
-                most = max(most, now[r] + stay[r, s])
-            total = 0.0
-            for r in range(states):
-                total += np.exp(now[r] + stay[r, s] - most)
-            later[s] = most + np.log(total) + emission[t, s]
-        most = later.max()
-        level = most + np.log(np.exp(later - most).sum())
-        nats += level
-        now[:] = later - level
-    return nats
+def forward_backward(emission, stay, first, begins, weight, counts):  # type: ignore[no-untyped-def]
+    """Log likelihood of all sequences, given log densities ``emission`` ``(steps, S)``.
 
-
-@jit
-def smooth(emission, stay, begins, weight, counts):  # type: ignore[no-untyped-def]
-    """Probabilities of states given all steps of their sequence, and how often one follows another.
-
-    Writes ``weight`` ``(steps, S)``; adds to ``counts`` ``(S, S)``. Sequences begin in any state.
+    ``stay`` ``(S, S)`` and ``first`` ``(S,)`` are probabilities of the next and the first state.
+    Writes ``weight`` ``(steps, S)``, probabilities of states given all steps of their sequence;
+    adds to ``counts`` ``(S, S)`` how often one follows another.
     """
     steps, states = emission.shape
     ahead = np.empty((steps, states))
+    both = np.empty((states, states))
+    nats = 0.0
     for t in range(steps):
-        likely = np.exp(emission[t] - emission[t].max())
+        most = emission[t].max()
         for s in range(states):
-            total = 1.0
-            if not begins[t]:
-                total = 0.0
-                for r in range(states):
-                    total += ahead[t - 1, r] * np.exp(stay[r, s])
-            ahead[t, s] = total * likely[s]
-        ahead[t] /= ahead[t].sum()
+            ahead[t, s] = first[s] if begins[t] else (ahead[t - 1] * stay[:, s]).sum()
+            ahead[t, s] *= np.exp(emission[t, s] - most)
+        total = ahead[t].sum()
+        nats += most + np.log(total)
+        ahead[t] /= total
     back = np.ones(states)
     for t in range(steps - 1, -1, -1):
         if t == steps - 1 or begins[t + 1]:
@@ -382,15 +365,12 @@ def smooth(emission, stay, begins, weight, counts):  # type: ignore[no-untyped-d
         weight[t] /= weight[t].sum()
         if begins[t]:
             continue
-        likely = np.exp(emission[t] - emission[t].max())
-        both = np.empty((states, states))
+        back *= np.exp(emission[t] - emission[t].max())
         for r in range(states):
-            for s in range(states):
-                both[r, s] = ahead[t - 1, r] * np.exp(stay[r, s]) * likely[s] * back[s]
+            both[r] = stay[r] * back
+        for r in range(states):
+            back[r] = both[r].sum()
+            both[r] *= ahead[t - 1, r]
         counts += both / both.sum()
-        for r in range(states):
-            ahead_of = 0.0
-            for s in range(states):
-                ahead_of += np.exp(stay[r, s]) * likely[s] * back[s]
-            both[r, 0] = ahead_of
-        back[:] = both[:, 0] / both[:, 0].sum()
+        back /= back.sum()
+    return nats

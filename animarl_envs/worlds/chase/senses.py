@@ -17,7 +17,7 @@ from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.checks import FocusRule, focus_rule
 from animarl_envs.compiling import jit, part
 from animarl_envs.focus import COURSE, FALLBACK, aim, averaged
-from animarl_envs.species import ChaseSpecies
+from animarl_envs.species import COMPACT, ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (
     ABSENT,
@@ -65,7 +65,6 @@ class Senses(NamedTuple):
     shape: int
     edge: float  # half side or radius [arena unit]
     limit: int  # of an episode [steps]
-    free: bool | None  # each has its course for its focus, and sees its nearest few
     shares: NDArray[np.float64]  # of a step in each average of the past
     dt: float  # [s]
     rule: FocusRule  # of free animals
@@ -86,11 +85,16 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         SHAPE_CODES[arena.shape],
         arena.edge,
         scales.time_limit,
-        species.free or None,
         past_shares(species),
         species.dt,
         focus_rule(species.focus),
     )
+
+
+def branches_of(species: ChaseSpecies) -> tuple[bool | None, bool | None, bool | None]:
+    """``free``, ``headed`` and ``full`` of :func:`observe`: None where it need not be compiled."""
+    full = species.observation != COMPACT
+    return species.free or None, species.has_headings or None, full or None
 
 
 @part
@@ -493,7 +497,7 @@ def remembered(
     if len(past):
         first_past(velocity, steps == 0, past)
         own = senses_of(species, np.zeros(0, dtype=bool))
-        _remember_frames(velocity, steps, own, own.free, past)
+        _remember_frames(velocity, steps, own, branches_of(species)[0], past)
     return past
 
 

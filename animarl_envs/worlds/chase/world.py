@@ -22,7 +22,7 @@ from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.locomotion import residual
 from animarl_envs.scenario import Scenario
-from animarl_envs.species import COMPACT, ChaseSpecies
+from animarl_envs.species import ChaseSpecies
 from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
@@ -83,6 +83,7 @@ class ChaseWorld(World):
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
         self._senses = senses.senses_of(species, self.observers)
+        free, headed, full = senses.branches_of(species)
         self._neighbours = neighbours_of(species, B)
         recorded = None if scenario.demos is None else scenario.demos.headings()
         self._bodies = bodies_of(species, B, recorded)
@@ -115,7 +116,7 @@ class ChaseWorld(World):
                 field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
                 walled=arena.rebound,
                 lone=species.lone_pursuer,
-                free=species.free or None,
+                free=free,
                 shoaling=species.shoaling_reward,
                 position=self._position,
                 velocity=self._velocity,
@@ -123,7 +124,7 @@ class ChaseWorld(World):
                 past=self._past,
                 towards=self._towards,
                 bodies=self._bodies,
-                headed=species.has_headings or None,
+                headed=headed,
                 traits=np.zeros((0, 1, 2)) if species.traits is None else species.traits.table,
                 own_traits=recorded_traits(species, scenario.demos),
                 neighbours=self._neighbours,
@@ -133,7 +134,7 @@ class ChaseWorld(World):
                 reward=self._reward,
                 observation=self._sensed,
                 senses=self._senses,
-                full=species.observation != COMPACT or None,
+                full=full,
             ),
         )
 

@@ -127,7 +127,7 @@ def test_a_model_of_other_thrust_magnitudes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("recordings", "mend"),
+    ("recordings", "fix"),
     [
         (["a", "b"], "it has 2 episodes, so record more or 'animarl import' with --piece"),
         (["a", "a", "b"], "it has 2 recordings, so deal with 'animarl data split --by episode'"),
@@ -135,7 +135,7 @@ def test_a_model_of_other_thrust_magnitudes() -> None:
     ],
 )
 def test_demonstrations_too_few_to_split(
-    recordings: list[str], mend: str, tmp_path: Path, animarl: Callable[..., Done]
+    recordings: list[str], fix: str, tmp_path: Path, animarl: Callable[..., Done]
 ) -> None:
     demos = load_packaged("fly").select(episodes=range(len(recordings)))
     split = np.array(["train", "val", "train"])[: len(recordings)]
@@ -143,5 +143,5 @@ def test_demonstrations_too_few_to_split(
     done = animarl("run", "few.npz", "--out", "run")
     said = done.stderr.strip()
     assert done.returncode == 2 and is_one_sentence(said)
-    assert f"split 'test' holds no episode: {mend}" in said
+    assert f"split 'test' holds no episode: {fix}" in said
     assert not (tmp_path / "run").exists()

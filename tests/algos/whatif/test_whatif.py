@@ -164,7 +164,7 @@ def test_the_absent_are_seen_far_away_and_the_others_as_ever(chase: Run) -> None
     present = Present.without(species, ["predator_1"])
     test = chase.demos.select(split="test")
     scenario = chase.starting_from(
-        "test", demos=present.demonstrations(chase.demos), species=present.species
+        "test", demos=chase.demos.of_individuals(present.own), species=present.species
     )
     world = FewerWorld(scenario, 3, present, farthest=1.5)
     whole = make_world(chase.starting_from("test"), 3)

@@ -136,8 +136,8 @@ def test_onset_bootstrap_equals_numpy_on_each_resample() -> None:
 
 def test_onset_fit_without_an_onset_says_so() -> None:
     demos, _ = simulate(10, episodes=5)
-    for threshold, mend in ((1e-6, "raise"), (1e6, "lower")):
-        words = rf"never crosses .*: {mend} onset_threshold or use method 'joint'"
+    for threshold, fix in ((1e-6, "raise"), (1e6, "lower")):
+        words = rf"never crosses .*: {fix} onset_threshold or use method 'joint'"
         refuses(words, fit_locomotion, demos, "onset", onset_threshold=threshold, split=None)
 
 

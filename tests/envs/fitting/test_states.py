@@ -65,7 +65,7 @@ def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path:
 def test_a_state_that_holds_hardly_a_step_is_said(two: Demonstrations, tmp_path: Path) -> None:
     given = ["fit", str(two.save(tmp_path / "two.npz")), "--states", "3", "--thrusts", "1"]
     output = " ".join(CliRunner().invoke(app, given, catch_exceptions=False).output.split())
-    assert "a: 3 states with 1 thrusts are not supported by these recordings" in output
+    assert "a: 3 states with 1 thrust are not supported by these recordings" in output
 
 
 @pytest.mark.parametrize(
