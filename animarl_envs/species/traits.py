@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.errors import MissingExtraError
+
 Floats = NDArray[np.float64]
 
 TRAITS = ("own speed", "own turning")
@@ -68,9 +70,16 @@ def fit_traits(
 
     They differ in a trait if quarters of one episode are more alike than those of several (analysis
     of variance over episodes, each about the mean of its condition).
-    """
-    from scipy.stats import f
 
+    Raises
+    ------
+    MissingExtraError
+        Without scipy, which the extra "data" has.
+    """
+    try:
+        from scipy.stats import f
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("telling individuals apart by their traits", "data") from error
     num, (_, individuals, _) = len(lengths), positions.shape
     if num < FEWEST or lengths.min() < 3 * PARTS:
         return None

@@ -81,7 +81,7 @@ def test_the_custom_species_needs_no_heavy_package(tmp_path: Path, numbas_own: s
 WITHOUT = """
 import pathlib, sys, tempfile
 folder = tempfile.TemporaryDirectory()  # also seen by processes that this one starts
-for name in ("pygame", "imageio", "pandas", "yaml", "h5py", "typer"):
+for name in ("pygame", "imageio", "pandas", "scipy", "yaml", "h5py", "typer"):
     said = f"raise ModuleNotFoundError('No module named {name!r}', name={name!r})"
     (pathlib.Path(folder.name) / f"{name}.py").write_text(said.replace(repr(name), name, 1))
 sys.path.insert(0, folder.name)
@@ -92,6 +92,7 @@ NEEDS = {
     "render": "e = gym.make('AnimaRL/Agent-v0', render_mode='rgb_array'); e.reset(); e.render()",
     "data": "from animarl_envs.importing.readers import read; read(sys.argv[1], source='sleap')",
     "data ": "from animarl_envs.importing.readers import read; read(sys.argv[1])",
+    " data": "from animarl_envs.species.traits import fit_traits; fit_traits(*[None] * 4)",
 }
 
 

@@ -86,7 +86,7 @@ BUDGETS = {
     "animarl_envs.drawing": 1_060,
     "animarl_envs.fitting": 2_520,
     "animarl_envs.importing": 5_402,
-    "animarl_envs.species": 1_203,
+    "animarl_envs.species": 1_212,
     "animarl_envs.views": 960,
     "animarl_envs.worlds": 4_135,
     "animarl_envs.wrappers": 270,
