@@ -30,8 +30,8 @@ from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import COMPACT, SPECIES, ChaseSpecies, Species
-from animarl_envs.views.common import TASKS, TIME_COST, task_options
+from animarl_envs.species import COMPACT, SPECIES, TASKS, ChaseSpecies, Species
+from animarl_envs.views.common import TIME_COST, task_options
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import ObservationComponent, World
 
