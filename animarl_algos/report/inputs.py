@@ -13,7 +13,7 @@ from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.tables import Evaluation
-from animarl_algos.report.path_figures import Stage
+from animarl_algos.report.path_figures import Stage, contact_drawn
 from animarl_algos.report.words import ARROW, Words, pick
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -81,7 +81,7 @@ class PageInputs:
             demos.roles,
             demos.individuals,
             self.words,
-            None if self.species is None else self.species.contact_radius,
+            None if self.species is None else contact_drawn(self.species),
         )
 
     def condition(self, number: int) -> str:

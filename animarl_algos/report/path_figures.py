@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,9 @@ from animarl_algos.report import style
 from animarl_algos.report.words import Words, number
 from animarl_envs.arena import Arena
 from animarl_envs.demos.summary import Unit
+from animarl_envs.focus import is_free
 from animarl_envs.locomotion import NUM_DIRECTIONS, action_directions
+from animarl_envs.species import Species
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +43,21 @@ class Stage:
     names: Sequence[str]
     words: Words
     contact_radius: float | None = None
+
+    def of(self, species: Species) -> Stage:
+        """Return the stage of that species."""
+        return replace(
+            self,
+            arena=replace(species.arena, rebound=self.arena.rebound),
+            roles=species.roles,
+            names=species.individuals,
+            contact_radius=contact_drawn(species),
+        )
+
+
+def contact_drawn(species: Species) -> float | None:
+    """Return how near is contact, where somebody is pursued or searches [arena unit]."""
+    return None if is_free(species.roles) else species.contact_radius
 
 
 # -- paths ----------------------------------------------------------------------------------------

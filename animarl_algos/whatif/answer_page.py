@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +42,6 @@ from animarl_algos.whatif.answer import CUE_LEVEL, Answer, WhatIf
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
 from animarl_envs.files import all_files_or_none
-from animarl_envs.focus import is_free
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -356,14 +354,7 @@ def _player(found: WhatIf, inputs: PageInputs) -> Player:
     views = []
     for k, answer in enumerate(played):
         guess = " (a guess)" if answer.warning == Caution.RED else ""
-        species, arena = answer.species, inputs.stage.arena
-        changed = replace(
-            inputs.stage,
-            arena=replace(species.arena, rebound=arena.rebound),
-            roles=species.roles,
-            names=species.individuals,
-            contact_radius=None if is_free(species.roles) else species.contact_radius,
-        )
+        changed = inputs.stage.of(answer.species)
         views.append(
             view(f"change-{k}", UNCHANGED, UNCHANGED, f"{answer.scenario.name}{guess}",
                  f"change-{k}", changed)
