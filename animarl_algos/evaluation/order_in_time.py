@@ -28,6 +28,14 @@ LEAD, DELAYS = 2.0, 10  # by which an animal may lead [s]; delays that are tried
 ROUNDING = 1e-24  # variance that is rounding alone: of a constant speed, which correlates with none
 NEAR_WALL = 0.1  # of the arena's size: so near a wall counts as being at it
 KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
+UNITS = {
+    "speed gained": "", "speed auto": "", "speed with": "", "speed ahead": "", "speed before": "",
+    "speed": "arena units / s", "spread of speed": "arena units / s", "turning": "rad / s",
+    "windings": "1 / s", "length of": "s", "longest rest": "s", "leadership": "s",
+    "displacement": "arena units", "distance": "arena units", "extent": "arena units",
+    "nearest": "arena units", "spread of the nearest": "arena units", "5 % nearest": "arena units",
+}  # fmt: skip
+"""Units by how the name of a measure begins, the first that fits; all others have none."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +140,11 @@ class EpisodeMeasures:
         """Means over episodes of those measures whose name begins so."""
         chosen = [one.startswith(name) for one in self.names]
         return _mean(self.values[:, chosen], axis=0)
+
+
+def unit_of_measure(name: str) -> str:
+    """Return the unit of a measure of this module, empty where it has none."""
+    return next((unit for begins, unit in UNITS.items() if name.startswith(begins)), "")
 
 
 def lags_for(steps: float, dt: float) -> tuple[int, ...]:

@@ -36,11 +36,13 @@ from animarl_algos.evaluation.order_in_time import (
     ORDER,
     PLACE,
     EpisodeMeasures,
+    unit_of_measure,
 )
 from animarl_algos.evaluation.prepared import Prepared, has_ended, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats, Ints, bootstrap_difference, cells, covers
 from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.demos.summary import Unit
 
 SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
     "not distinguishable", "differs, but by little", "differs", "too little data to say",
@@ -68,10 +70,12 @@ PHRASES = {
     "windings": ("walks in circles", "winds too little"),
     "turn autocorrelation": ("walks in circles", "forgets its turns too soon"),
     "displacement": ("gets too far", "does not get far enough"),
+    "speed before turn": ("turns too much after speed", "turns too little after speed"),
     "speed gained late": ("slows down too little", "slows down too much"),
     "skewness of acceleration": ("starts too abruptly", "stops too abruptly"),
     "speed autocorrelation": ("keeps its speed too long", "forgets its speed too soon"),
     "turning to the left": ("turns too much to the left", "turns too much to the right"),
+    "turning": ("turns too much", "turns too little"),
     "share at rest": ("rests too much", "rests too little"),
     "longest rest": ("rests too long", "rests too briefly"),
     "nearest neighbour": ("keeps too far apart", "keeps too close"),
@@ -193,7 +197,8 @@ def verdict_rows(
     rows = [_endings_row(tests, np.unique(counted.demo))] if can_end else []
     controls = _strangers(prepared), {} if blind is None else prepared.measures(blind)
     rows += _metric_rows(prepared, counted, columns.names, test, rng, controls)
-    return rows + [_kind_row(kind, columns, test) for kind in KINDS if kind in columns.kinds]
+    found = [kind for kind in KINDS if kind in columns.kinds]
+    return rows + [_kind_row(kind, columns, test, prepared.unit) for kind in found]
 
 
 def _endings_row(tests: JointTests, starts: Ints) -> Row:
@@ -296,7 +301,7 @@ def _judge_metric(
     return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}"
 
 
-def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest) -> Row:
+def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit) -> Row:
     """Return the row of all measures of a kind; the one that differs most speaks for it."""
     members = np.flatnonzero(np.array(columns.kinds) == kind)
     size = np.abs(test.statistic[members])
@@ -304,7 +309,10 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest) -> Row:
         return Row(measure=kind, label=KINDS[kind])
     worst = int(members[np.nanargmax(size)])
     name = columns.names[worst]
-    recorded, simulated = float(test.recorded[worst]), float(test.simulated[worst])
+    unit = unit_of_measure(name)
+    scale = own.per_arena_unit if unit.startswith("arena units") else 1.0
+    unit = unit.replace("arena units", own.name)
+    recorded, simulated = scale * float(test.recorded[worst]), scale * float(test.simulated[worst])
     judgement = words = SAME
     differing = members[test.differs[members]]
     if len(differing):
@@ -313,7 +321,8 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest) -> Row:
             phrase_of(columns.names[i], more=test.simulated[i] > test.recorded[i]) for i in order
         ]
         words, *more = dict.fromkeys(told)
-        words = f"{words} ({name}: {simulated:.2g}, recorded {recorded:.2g})"
+        figures = f"{name}: {simulated:.2g}, recorded {recorded:.2g} {unit}"
+        words = f"{words} ({figures.rstrip()})"
         words = ", ".join([words, *more[: MOST_PHRASES - 1]])
         little = [any(part in columns.names[i] for part in LIKE_SHARES) for i in differing]
         allowed = np.maximum(
@@ -325,11 +334,12 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest) -> Row:
     return Row(
         measure=kind,
         label=f"{KINDS[kind]}: {name}",
+        unit=unit,
         recorded=recorded,
         simulated=simulated,
         difference=simulated - recorded,
-        distance=_gap(test, worst),
-        null=float(test.null[worst]),
+        distance=scale * _gap(test, worst),
+        null=scale * float(test.null[worst]),
         p=least_p(test.adjusted_p[members]),
         judgement=judgement,
         verdict=words,

@@ -10,7 +10,15 @@ from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.realism import REFERENCES
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, CONTROLS, DIFFERS, LEVEL, SAME, UNKNOWN
+from animarl_algos.evaluation.verdict_rows import (
+    BY_LITTLE,
+    CONTROLS,
+    DIFFERS,
+    KINDS,
+    LEVEL,
+    SAME,
+    UNKNOWN,
+)
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
 from animarl_algos.report.page import Block, Gallery, Lead, Table, tabulate
@@ -84,7 +92,8 @@ def _differences(verdict: Verdict) -> Iterator[str]:
     for word in verdict.words:
         if word != SAME:
             row = next((row for row in rows if row["verdict"] == word), None)
-            evidence = "" if row is None else _evidence(row)
+            told = row is None or row["measure"] in KINDS  # whose words hold the figure
+            evidence = "" if told else _evidence(row)
             yield f"{word} ({evidence})" if evidence else word
 
 

@@ -13,6 +13,7 @@ from refusals import refuses
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.exchange_test import Exchanges
 from animarl_algos.evaluation.metrics import METRICS, Episodes, judged_metrics, slow_speeds
+from animarl_algos.evaluation.order_in_time import KINEMATIC
 from animarl_algos.evaluation.prepared import Prepared, censored, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, is_green, verdict
@@ -114,7 +115,23 @@ def test_what_differs_by_little_is_said_with_how_much() -> None:
 
 def test_circles_are_said_in_words() -> None:
     assert phrase_of("turn autocorrelation at 5 s, moth", more=True) == "walks in circles"
+    assert phrase_of("turning, larva", more=True) == "turns too much"
     assert phrase_of("polarisation", more=False) == "polarisation too low"
+
+
+def test_order_in_time_is_told_in_the_unit_of_the_recordings() -> None:
+    demos = recorded_pairs()
+    scales = {name: {"unit": 50.0} for name in np.unique(demos.recording).tolist()}
+    own = replace(demos, provenance={**demos.provenance, "unit": "mm", "scales": scales})
+    plain, told = (
+        verdict(one, simulated_pairs(demos, "slow"), seed=0, references=one).row(KINEMATIC)
+        for one in (demos, own)
+    )
+    assert told["unit"] == "mm / s" and plain["unit"] == "arena units / s"
+    for column in ("recorded", "simulated", "difference", "distance", "null"):
+        assert told[column] == pytest.approx(50 * plain[column])
+    assert f"recorded {told['recorded']:.2g} mm / s" in told["verdict"]
+    assert told["p"] == plain["p"]
 
 
 def test_tracking_excuses_nothing() -> None:
