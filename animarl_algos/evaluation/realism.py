@@ -278,15 +278,21 @@ def _bin(values: Floats, limits: tuple[float, float]) -> Ints:
 def _likelihood(
     true: Component, other: Component, limits: tuple[float, float], start: Ints, count: int
 ) -> Floats:
-    """exp(mean log probability) of the recorded values, ``(recordings,)``; NaN without any."""
+    """exp(mean log probability) of the recorded values, ``(recordings,)``; NaN without any.
+
+    Where rollouts have no value at all (who stands still has no turns), they count as if as many
+    values as recorded were all in other bins.
+    """
     num = 1 + max(int(side.individual.max(initial=0)) for side in (true, other))
     place = (start[other.episode] * num + other.individual) * BINS + _bin(other.values, limits)
     counts = np.bincount(place, minlength=count * num * BINS).reshape(-1, BINS) + PSEUDO_COUNT
-    log_p = np.log(counts / counts.sum(axis=1, keepdims=True))
     cell = true.episode * num + true.individual
+    number = np.bincount(cell, minlength=count * num)
+    none = np.bincount(place // BINS, minlength=count * num) == 0
+    sizes = counts.sum(axis=1) + np.where(none, number, 0)
+    log_p = np.log(counts / sizes[:, None])
     value = log_p[cell, _bin(true.values, limits)]
     total = np.bincount(cell, value, minlength=count * num)
-    number = np.bincount(cell, minlength=count * num)
     with np.errstate(invalid="ignore"):
         score = np.exp(total / np.where(number, number, np.nan)).reshape(count, num)
         known = np.isfinite(score).sum(axis=1)

@@ -71,7 +71,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 2_513,
     "animarl_algos.cli": 2_600,
     "animarl_algos.data": 1_008,
-    "animarl_algos.evaluation": 5_981,
+    "animarl_algos.evaluation": 5_987,
     "animarl_algos.learner": 3_120,
     "animarl_algos.losses": 618,
     "animarl_algos.networks": 1_790,

@@ -71,6 +71,16 @@ def test_realism_ranks_the_true_simulator_above_every_broken_one(world: KnownWor
     assert set(scores) - worse <= {"8 % too fast", "order lost beyond 2 s", "mirrored"}
 
 
+def test_who_stands_still_has_the_least_likely_turns() -> None:
+    """It has no turns at all, which is no reason to call all turns equally likely."""
+    recorded, perfect = recorded_and_simulated(PAIR, 20, seed=5)
+    true, still = (
+        realism(Prepared(recorded), one, np.random.default_rng(0)).table.set_index("component")
+        for one in (perfect, standing_still(perfect))
+    )
+    assert still.loc["turning", "score"] < 0.01 < 0.1 < true.loc["turning", "score"]
+
+
 def test_realism_stands_between_its_references() -> None:
     recorded, perfect = recorded_and_simulated(CHASE, 20, seed=3)
     found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
