@@ -15,6 +15,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies, SearchSpecies, Species
+from animarl_envs.species.traits import LARGEST, TRAITS, Traits
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 FACTOR = re.compile(rf"x({NUMBER})")
@@ -24,6 +25,8 @@ SWEEP = re.compile(r"(.+?)\.\.(.+?)/(\d+)")
 MOST_SCENARIOS = 50
 
 BODY = ("speed", "thrust", "damping")
+NATURE = {name.replace(" ", "_"): column for column, name in enumerate(TRAITS)}
+"""What an individual is told that it is like, of species whose individuals differ [sd]."""
 WORLD = {"arena": "size", "contact": "contact_radius", "time_limit": "time_limit"}
 CONDITION = "condition"
 PLUME = "plume"
@@ -64,7 +67,8 @@ class Change:
         Individuals, for what is theirs; empty for the world.
     what
         ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition``,
-        ``plume``, ``wind``, ``odour``, ``remove``, ``start`` or another number of the species.
+        ``plume``, ``wind``, ``odour``, ``remove``, ``start``, a trait (``own_speed``) or another
+        number of the species.
     amount
         How much; of a condition or a plume its name, of a start ``uniform`` or a place.
     text
@@ -169,6 +173,11 @@ class Scenario:
                     new = change.amount.of(old, {}, change.text)
                     what: dict[str, Any] = {change.what: new}
                     bodies[name] = replace(bodies[name], **what)
+            elif change.what in NATURE:
+                who = [species.individuals.index(name) for name in change.who]
+                traits = options.get("traits", species.traits)
+                assert traits is not None  # else there is no such name
+                options["traits"] = _of_another_nature(traits, who, change)
             elif change.what in AIR:
                 plume = options.get(PLUME, getattr(species, PLUME))
                 options[PLUME] = _with_air(plume, change)
@@ -247,7 +256,7 @@ def parse_change(text: str, species: Species) -> list[Change]:
 
 def known(species: Species) -> str:
     """Return a sentence that lists what can be changed."""
-    kinds = [f"{group}.{what}" for group in _groups(species) for what in (*BODY, START)]
+    kinds = [f"{group}.{what}" for group in _groups(species) for what in _own_names(species)]
     return f"where NAME is one of {', '.join([*kinds, *_world_names(species)])}"
 
 
@@ -264,7 +273,7 @@ def _subject(name: str, text: str, species: Species) -> tuple[tuple[str, ...], s
         return (), name
     group, dot, what = name.rpartition(".")
     groups = _groups(species)
-    if not dot or what not in (*BODY, START) or group not in groups:
+    if not dot or what not in _own_names(species) or group not in groups:
         raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
     return groups[group], what
 
@@ -281,6 +290,15 @@ def _groups(species: Species) -> dict[str, tuple[str, ...]]:
         for name, who in groups.items()
         if len(who) > 1 or name in species.individuals
     }  # fmt: skip
+
+
+def _own_names(species: Species) -> list[str]:
+    """What of an individual can be changed; traits where training animals differed in them."""
+    names = [*BODY, START]
+    if species.traits is not None:
+        differ = np.isfinite(species.traits.scale)
+        names += [name for name, column in NATURE.items() if differ[:, column].any()]
+    return names
 
 
 def _world_names(species: Species) -> list[str]:
@@ -327,6 +345,21 @@ def _choice(what: str, value: str, species: Species, text: str) -> str:
     return value
 
 
+def _of_another_nature(traits: Traits, who: Sequence[int], change: Change) -> Traits:
+    """Traits of training animals, of which those of ``who`` are moved by so many sd."""
+    assert isinstance(change.amount, Amount)
+    if change.amount.is_factor or change.amount.unit != "sd":
+        raise InputError(
+            f"{change.text!r}: a trait is changed by standard deviations between the training "
+            "animals, as in +1sd"
+        )
+    table, alike = traits.table.copy(), traits.table.shape[1]
+    columns = sorted({number % alike for number in who}), NATURE[change.what]
+    moved = table[:, columns[0], columns[1]] + change.amount.value
+    table[:, columns[0], columns[1]] = np.clip(moved, -LARGEST, LARGEST)
+    return replace(traits, table=table)
+
+
 def _with_air(plume: Any, change: Change) -> Any:
     """The model plume with another wind [m/s] or a stronger source."""
     from animarl_envs.worlds.plume.plume import ModelPlume, as_plume
@@ -361,14 +394,15 @@ def _amount(value: str, text: str) -> Amount:
             f"{text!r}: {value!r} is no amount: give a factor (x1.2), a change (+20%), a value "
             "with its unit (60s) or a sweep (-20%..+20%/5)"
         )
-    if not (np.isfinite(amount.value) and amount.value > 0):
+    if not (np.isfinite(amount.value) and (amount.value > 0 or amount.unit == "sd")):
         raise InputError(f"{text!r}: {value!r} leaves nothing: give more than zero")
     return amount
 
 
 def _written(amount: Amount) -> str:
     if not amount.is_factor:
-        return f"{amount.value:g}{amount.unit}"
+        signed = "+" if amount.unit == "sd" else ""
+        return f"{amount.value:{signed}g}{amount.unit}"
     return f"{100 * (amount.value - 1):+.3g}%"
 
 

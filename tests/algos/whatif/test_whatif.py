@@ -23,6 +23,7 @@ from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import get_species
+from animarl_envs.species.traits import Traits
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.plume.plume import ModelPlume
 
@@ -106,6 +107,21 @@ def test_the_air_of_a_moth_is_changed_by_name() -> None:
             parse_scenarios([text], MOTH)[0].options(MOTH, MM)
     (both,) = parse_scenarios(["wind=x2", "plume=continuous"], MOTH)
     refuses("only the model plume has a wind", both.options, MOTH, MM)
+
+
+def test_an_individual_of_another_nature_is_asked_for_in_standard_deviations() -> None:
+    refuses("'moth.own_speed' cannot be changed", parse_scenarios, ["moth.own_speed=+1sd"], MOTH)
+    table = np.array([[[-2.5, 0.5]], [[1.0, -0.5]]])
+    told = Traits(np.ones((2, 1, 2)), np.array([[0.3, np.inf]]), table)
+    species = replace(MOTH, traits=told)  # these moths differ in speed alone
+    points = parse_scenarios(["moth.own_speed=-1sd..+1sd/3"], species)
+    assert [one.name for one in points] == [f"moth.own_speed={n}sd" for n in ("-1", "+0", "+1")]
+    slower = points[0].options(species, MM)["traits"]
+    assert slower.table == pytest.approx(np.array([[[-3.0, 0.5]], [[0.0, -0.5]]]))
+    assert species.traits is told and told.table[1, 0, 0] == 1.0
+    refuses("'moth.own_turning' cannot", parse_scenarios, ["moth.own_turning=+1sd"], species)
+    (factor,) = parse_scenarios(["moth.own_speed=x2"], species)
+    refuses("changed by standard deviations", factor.options, species, MM)
 
 
 def test_a_moth_does_not_find_a_source_without_odour() -> None:
