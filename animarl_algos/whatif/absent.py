@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from animarl_envs.worlds.chase.neighbours import neighbours_of
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 FARTHEST = 0.95  # quantile of the distances of pursuers from the target in training
+BEYOND = 1.05  # times the distance of the nearest: at its own distance rounding would order the two
 ASIDE = np.deg2rad(20.0)  # exactly behind somebody nobody ever was: that alone would be new
 
 
@@ -54,16 +55,12 @@ class Present:
         """Return those who are left."""
         names = species.individuals
         pursuers = [n for n, role in zip(names, species.roles, strict=True) if role == "pursuer"]
-        one_target = isinstance(species, ChaseSpecies) and not (
-            species.free or species.lone_pursuer
-        )
         left = [name for name in pursuers if name not in absent]
-        if not one_target or not set(absent) <= set(pursuers) or not left:
+        if not _one_target(species) or not set(absent) <= set(pursuers) or not left:
             raise InputError(
                 f"{', '.join(absent)} cannot be removed: only a pursuer of one target can, and one "
                 "must be left; train a run without it"
             )
-        assert isinstance(species, ChaseSpecies)
         if species.has_headings:
             raise InputError(
                 f"{', '.join(absent)} cannot be removed, because headings of the others are "
@@ -82,6 +79,16 @@ class Present:
             turning=whole.turning and tuple(whole.turning[i] for i in self.own),
             sense_scales=whole.sense_scales and whole.sense_scales.select(self.own),
         )
+
+
+def _one_target(species: Species) -> TypeGuard[ChaseSpecies]:
+    return isinstance(species, ChaseSpecies) and not (species.free or species.lone_pursuer)
+
+
+def can_remove(species: Species) -> bool:
+    """Return whether some of the pursuers of a species can be removed."""
+    several = species.roles.count("pursuer") > 1
+    return several and _one_target(species) and not species.has_headings
 
 
 def simulate_from(
@@ -196,7 +203,7 @@ class FewerWorld(ChaseWorld):
         ahead, length = away[nearest, :, copies], apart[nearest, copies][:, None]
         direction = np.where(length > 0, ahead / np.maximum(length, 1e-12), FALLBACK)
         turn = np.array([[np.cos(ASIDE), np.sin(ASIDE)], [-np.sin(ASIDE), np.cos(ASIDE)]])
-        return nearest, target.T + direction @ turn * np.maximum(length, self._farthest)
+        return nearest, target.T + direction @ turn * np.maximum(BEYOND * length, self._farthest)
 
     def _with_absent(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = np.zeros((len(self._shown), *own.shape[1:]))

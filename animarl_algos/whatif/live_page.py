@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.whatif.absent import ASIDE, BEYOND, can_remove, farthest_pursuer
 from animarl_algos.whatif.answer import TrainedRun, quantities_of
 from animarl_algos.whatif.extrapolation import InputRange
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -104,6 +105,13 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         },
         "lone": isinstance(species, ChaseSpecies) and species.lone_pursuer,
         "free": is_free(species.roles),
+        "absent": {
+            "farthest": farthest_pursuer(run.demos.select(split="train")),
+            "beyond": BEYOND,
+            "aside": ASIDE,
+        }
+        if can_remove(species)
+        else None,
         "conditions": list(species.conditions),
         "condition_is_sensed": species.condition_is_sensed,
         "told": run.told_condition,

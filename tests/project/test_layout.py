@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 991,
     "animarl_algos.report": 3_419,
     "animarl_algos.runs": 2_633,
-    "animarl_algos.whatif": 2_035,
+    "animarl_algos.whatif": 2_050,
     "animarl_algos.zoo": 492,
     "animarl_envs": 2_371,
     "animarl_envs.demos": 1_301,

@@ -386,6 +386,8 @@ const AnimaRL = (() => {
       this.condition = new Int8Array(copies);
       this.outcome = new Int8Array(copies);
       this.over = new Uint8Array(copies);
+      this.absent = new Uint8Array(K);
+      options.absent.forEach((i) => (this.absent[i] = 1));
     }
 
     /** Start copy b from a recorded start, or from given places [K][2] at rest. */
@@ -406,8 +408,12 @@ const AnimaRL = (() => {
         }
       }
       this.woken(b, start);
+      this.placeAbsent(b);
       this.observe(b);
     }
+
+    /** Nobody is removed from a world in which nobody is pursued by several. */
+    placeAbsent() {}
 
     /** Whether the frame that a step leads to is replayed, and its place in the starts. */
     replayed(b) {
@@ -514,10 +520,32 @@ const AnimaRL = (() => {
         const i = k >> 1, kept = (1 - senses.damping[i]) * this.before[k] + 0;
         this.push[at + k] = (velocity[at + k] - kept) / senses.push[i];
       }
+      this.placeAbsent(b);
       const outcome = this.#judge(b);
       this.outcome[b] = outcome;
       this.over[b] = outcome !== TIME_OUT || this.steps[b] >= this.limit ? 1 : 0;
       this.observe(b);
+    }
+
+    /** Put the removed beyond the pursuer nearest to the target, and far from it: see whatif/absent.py. */
+    placeAbsent(b) {
+      if (!this.absent.includes(1)) return;
+      const K = this.K, at = 2 * b * K, p = this.position, v = this.velocity, last = at + 2 * K - 2;
+      const { farthest, beyond, aside } = this.model.absent;
+      let nearest = 0, least = Infinity;
+      for (let i = 0; i < K - 1; i++) {
+        const apart = Math.hypot(p[at + 2 * i] - p[last], p[at + 2 * i + 1] - p[last + 1]);
+        if (!this.absent[i] && apart < least) [nearest, least] = [at + 2 * i, apart];
+      }
+      const ex = least > 0 ? (p[nearest] - p[last]) / least : 1, ey = least > 0 ? (p[nearest + 1] - p[last + 1]) / least : 0;
+      const far = Math.max(beyond * least, farthest), c = Math.cos(aside), s = Math.sin(aside);
+      for (let i = 0; i < K - 1; i++) {
+        if (!this.absent[i]) continue;
+        const own = at + 2 * i;
+        p[own] = p[last] + (ex * c - ey * s) * far;
+        p[own + 1] = p[last + 1] + (ex * s + ey * c) * far;
+        for (let x = 0; x < 2; x++) [v[own + x], this.push[own + x]] = [v[nearest + x], 0];
+      }
     }
 
     #rebound(own) {
@@ -545,6 +573,7 @@ const AnimaRL = (() => {
       const lone = this.model.lone, arena = this.model.arena;
       let nearest = this.contact * this.contact, code = TIME_OUT;
       for (let i = 0; i < (this.model.free ? 0 : last); i++) {
+        if (this.absent[i]) continue;
         const dx = p[at + 2 * last] - p[at + 2 * i], dy = p[at + 2 * last + 1] - p[at + 2 * i + 1];
         const squared = dx * dx + dy * dy;
         if (squared < nearest) code = i + 1;
@@ -553,6 +582,7 @@ const AnimaRL = (() => {
       if (arena.rebound || code !== TIME_OUT || arena.shape === "open") return code;
       for (let j = 0; j < K; j++) {
         const i = lone ? j : last - j, x = p[at + 2 * i], y = p[at + 2 * i + 1];
+        if (this.absent[i]) continue;
         const out = arena.shape === "square"
           ? Math.max(Math.abs(x), Math.abs(y)) > this.boundary
           : x * x + y * y > this.boundary * this.boundary;
@@ -872,7 +902,7 @@ const AnimaRL = (() => {
       damping: Array.from(model.locomotion, (own) => own.damping),
       thrust: Array.from(model.locomotion, (own) => own.thrust),
       arena: model.arena.size, boundary: model.arena.boundary, contact: model.contact_radius,
-      time_limit: model.time_limit, warmth: 1, condition: null,
+      time_limit: model.time_limit, warmth: 1, condition: null, absent: [],
     };
   }
 
@@ -910,6 +940,7 @@ const AnimaRL = (() => {
           const slot = b * K + i;
           actions[i] = policy.choose(slot, i, random[b](), options.warmth);
           policy.previous[slot] = actions[i];
+          if (world.absent[i]) continue;
           seen[i] += 1;
           beyond[i] += countBeyond(model, i, world.observation, slot * world.n, inputs);
         }
@@ -917,6 +948,7 @@ const AnimaRL = (() => {
         if (warming) actionsOf(model, world, b, old, policy, actions);
         world.step(b, actions);
         for (let i = 0; i < K; i++) {
+          if (world.absent[i]) continue;
           const at = 2 * (b * K + i);
           path[b * K + i] += Math.hypot(
             world.position[at] - old[2 * i], world.position[at + 1] - old[2 * i + 1]);
@@ -930,12 +962,12 @@ const AnimaRL = (() => {
         waited = Date.now();
       }
     }
-    const scale = model.unit.per_arena_unit;
+    const scale = model.unit.per_arena_unit, there = K - options.absent.length;
     const results = tasks.map(([start], b) => {
       const seconds = (frames[b] - 1) * model.dt, own = path.slice(b * K, (b + 1) * K);
       return {
         start, reached: world.outcome[b] > 0 ? 1 : 0, outcome: world.outcome[b], duration: seconds,
-        path: (scale * own.reduce((sum, value) => sum + value, 0)) / K,
+        path: (scale * own.reduce((sum, value) => sum + value, 0)) / there,
         distance: (scale * near[b]) / frames[b],
         speed: Array.from(own, (value) => (scale * value) / Math.max(seconds, model.dt)),
       };
@@ -1026,6 +1058,7 @@ const AnimaRL = (() => {
     }
     let nearest = Infinity;
     for (let i = 0; i < K - 1; i++) {
+      if (world.absent[i]) continue;
       const dx = p[at + 2 * i] - p[at + 2 * K - 2], dy = p[at + 2 * i + 1] - p[at + 2 * K - 1];
       nearest = Math.min(nearest, Math.hypot(dx, dy));
     }

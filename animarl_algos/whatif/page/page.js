@@ -59,6 +59,30 @@
   const condition = model.conditions.length && (model.told || model.condition_is_sensed)
     ? choice("condition", "Condition", [["", "as recorded"], ...model.conditions.map((name, k) => [k, name])], "")
     : null;
+  const absent = new Set(); // pursuers that are taken away
+  const boxes = model.absent ? presence() : [];
+
+  /** A box for each pursuer that can be removed; the last one stays. */
+  function presence() {
+    const group = document.createElement("fieldset"), legend = document.createElement("legend");
+    legend.textContent = "Pursuers that are there";
+    group.append(legend);
+    $("controls").append(group);
+    const all = names.map((_, i) => i).filter((i) => model.roles[i] === "pursuer").map((i) => {
+      const label = document.createElement("label"), box = document.createElement("input");
+      Object.assign(box, { id: `control-there-${i}`, type: "checkbox", checked: true });
+      label.append(box, ` ${names[i]}`);
+      group.append(label);
+      return [i, box];
+    });
+    const mark = () => {
+      absent.clear();
+      all.forEach(([i, box]) => box.checked || absent.add(i));
+      all.forEach(([, box]) => (box.disabled = box.checked && absent.size === all.length - 1));
+    };
+    all.forEach(([, box]) => box.addEventListener("change", () => { mark(); changed(); }));
+    return [{ reset: () => { all.forEach(([, box]) => (box.checked = true)); mark(); } }];
+  }
   const seed = choice("seed", "Random numbers", [0, 1, 2, 3, 4].map((k) => [k, `seed ${k}`]), 0);
 
   function options() {
@@ -70,6 +94,7 @@
       contact: usual.contact * (factors.contact || 1),
       warmth: factors.warmth || 1,
       condition: condition && condition.value !== "" ? Number(condition.value) : null,
+      absent: [...absent],
     };
   }
 
@@ -105,7 +130,7 @@
     const actions = names.map((_, i) => policy.choose(i, i, random(), chosen.warmth));
     if (world.warming(0) && model.starts.actions !== null) {
       names.forEach((_, i) => (actions[i] = model.starts.actions[(world.start[0] * model.starts.frames + world.steps[0]) * K + i]));
-    } else if (steered >= 0) actions[steered] = steering(world, steered);
+    } else if (steered >= 0 && !world.absent[steered]) actions[steered] = steering(world, steered);
     actions.forEach((action, i) => (policy.previous[i] = action));
     world.step(0, actions);
     one.trail.push(Array.from(world.position));
@@ -194,12 +219,13 @@
     }
     for (let i = 0; i < K; i++) {
       const tail = episodes[0].trail.slice(-80).map((p) => [p[2 * i], p[2 * i + 1]]);
-      line(tail, colour(i), 2);
+      if (!absent.has(i)) line(tail, colour(i), 2);
       const ghost = toPixels([episodes[1].world.position[2 * i], episodes[1].world.position[2 * i + 1]]);
       Object.assign(pen, { strokeStyle: colour(i), lineWidth: 1.5 });
       pen.beginPath();
       pen.arc(...ghost, 9, 0, 2 * Math.PI);
       pen.stroke();
+      if (absent.has(i)) continue;
       const at = toPixels([world.position[2 * i], world.position[2 * i + 1]]);
       pen.beginPath();
       pen.arc(...at, 9, 0, 2 * Math.PI);
@@ -241,7 +267,7 @@
     stage.focus();
     const place = toArena(event), { world } = episodes[0];
     if (world.steps[0] === 0 && !playing) {
-      const apart = names.map((_, i) => Math.hypot(world.position[2 * i] - place[0], world.position[2 * i + 1] - place[1]));
+      const apart = names.map((_, i) => absent.has(i) ? Infinity : Math.hypot(world.position[2 * i] - place[0], world.position[2 * i + 1] - place[1]));
       const nearest = apart.indexOf(Math.min(...apart));
       if (apart[nearest] < 0.08 * reach()) dragged = nearest;
     }
@@ -274,7 +300,7 @@
   $("restart").addEventListener("click", () => { stop(); begin(); });
   $("start").addEventListener("change", () => { places = null; stop(); begin(); });
   $("reset").addEventListener("click", () => {
-    sliders.forEach((one) => one.reset());
+    [...sliders, ...boxes].forEach((one) => one.reset());
     if (condition) condition.value = "";
     places = null;
     changed();
@@ -282,9 +308,10 @@
 
   /** The track of the episode on the stage as a table: a column for each coordinate. */
   function table() {
-    const head = ["time", ...names.flatMap((name) => [`${name}_x`, `${name}_y`])];
+    const there = (_, k) => !absent.has(k >> 1);
+    const head = ["time", ...names.flatMap((name) => [`${name}_x`, `${name}_y`]).filter(there)];
     const quoted = head.map((name) => (/[",\n]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name));
-    const rows = track.map((p, t) => [(t * model.dt).toFixed(4), ...p.map((value) => (value * scale).toFixed(6))]);
+    const rows = track.map((p, t) => [(t * model.dt).toFixed(4), ...p.filter(there).map((value) => (value * scale).toFixed(6))]);
     return [quoted, ...rows].map((row) => row.join(",")).join("\n") + "\n";
   }
   $("save").addEventListener("click", () => {
@@ -343,7 +370,7 @@
   ] : [
     ["reached", "share", (one) => one.reached], ["duration", "s", (one) => one.duration],
     ["path length", model.unit.name, (one) => one.path], ["mean distance", model.unit.name, (one) => one.distance],
-    ...names.map((name, i) => [`speed of ${name}`, `${model.unit.name}/s`, (one) => one.speed[i]]),
+    ...names.map((name, i) => [`speed of ${name}`, `${model.unit.name}/s`, (one) => one.speed[i], i]),
   ];
 
   async function answer() {
@@ -353,7 +380,7 @@
     const key = seed.value;
     if (!baselines.has(key)) baselines.set(key, await simulate(usual, say("unchanged world")));
     if (token !== waiting) return;
-    const before = baselines.get(key), moved = names.map((_, i) => i).filter((i) => factorOf(i) !== 1);
+    const before = baselines.get(key), moved = names.map((_, i) => i).filter((i) => factorOf(i) !== 1 && !absent.has(i));
     let told = "";
     if (body.value === "speed" && moved.length) {
       const usually = (i) => before.results.reduce((sum, one) => sum + one.speed[i], 0) / ROLLOUTS;
@@ -374,7 +401,7 @@
   }
 
   function show(before, after) {
-    const more = after.beyond.map((share, i) => share - before.beyond[i]);
+    const more = after.beyond.map((share, i) => (absent.has(i) ? 0 : share - before.beyond[i]));
     const worst = more.indexOf(Math.max(...more)), n = model.ranges.low.shape[1];
     const red = more[worst] > RED, some = more[worst] > YELLOW;
     const inputs = after.inputs.slice(worst * n, (worst + 1) * n).map((value, c) => value - before.inputs[worst * n + c]);
@@ -385,7 +412,8 @@
       : "The animals perceive hardly anything that they did not perceive in training.";
     const body = $("table");
     body.replaceChildren();
-    for (const [name, unit, value] of quantities) {
+    const shown = quantities.filter(([, , , i]) => !absent.has(i)); // a quantity of nobody is not asked
+    for (const [name, unit, value] of shown) {
       const mean = (all) => all.reduce((sum, one) => sum + value(one), 0) / all.length;
       const recorded = model.recorded.measured[name], truth = recorded.reduce((sum, one) => sum + one, 0) / recorded.length;
       const [b, a] = [mean(before.results), mean(after.results)];
@@ -401,7 +429,7 @@
     const box = $("histograms");
     const leaving = !model.free || [...before.results, ...after.results].some((one) => one.outcome !== 0);
     box.replaceChildren(...(leaving ? [outcomes(before.results, after.results)] : []));
-    const moving = quantities.filter(([name]) => model.free || name === "duration" || name === "path length" || name.startsWith("speed"));
+    const moving = shown.filter(([name]) => model.free || name === "duration" || name === "path length" || name.startsWith("speed"));
     for (const [name, unit, value] of moving.slice(0, 5)) {
       box.append(histogram(`${name} [${unit}]`, model.recorded.measured[name], before.results.map(value), after.results.map(value)));
     }
