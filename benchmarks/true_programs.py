@@ -41,7 +41,7 @@ from tools.packaged_data.courtship_published import BEHAVIOURS
 @dataclass
 class Courtship(MemorylessPolicy):
     """The program of flies and newts as a policy: it looks at the world itself, not at what is seen
-    of it. ``believed`` is the locomotion that it takes the animals to have, by default theirs.
+    of it. ``believed`` is the locomotion that it plans with, by default that of the senses' scales.
     """
 
     scenario: Scenario

@@ -3,12 +3,15 @@
     python benchmarks/whatif_truth.py --quick
     python benchmarks/whatif_truth.py --out docs/results/whatif
     python benchmarks/whatif_truth.py --only agent --seed 0
+    python benchmarks/whatif_truth.py --only newt --change female.thrust=x2 --planning
     python benchmarks/whatif_truth.py --only larvae --out docs/results/whatif/larvae
 
 A clone is asked with ``animarl whatif``'s code. The truth is known where a program or a trained
 team made the recordings: the packaged agents (their teams), flies and newts (their courtship),
 moths (their search), and the published artificial agents, if $ANIMARL_DATA has them. What made
-them acts in the changed world, by habit or knowing its new body, as the clone is assumed to.
+them acts in the changed world and perceives it as the clone does, by habit or knowing its new body.
+With ``--planning`` flies, newts and moths choose their pushes with their new thrust, but keep the
+speeds that they want: a third truth, beside what clones answer by habit.
 
 One row is one quantity of one change. ``miss`` is predicted minus true, paired by start, with an
 interval over starts and training seeds. An answer counts as wrong where its miss is clear of zero
@@ -49,12 +52,11 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.counterfactual import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
-from animarl_algos.whatif.answer import ask, mean_over_starts, quantities_of
+from animarl_algos.whatif.answer import Answer, ask, mean_over_starts, quantities_of
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import Caution
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
-from animarl_envs.files import all_files_or_none
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, SearchSpecies, Species
 from animarl_envs.species.base import Reading
@@ -101,14 +103,16 @@ class Answered:
     reading: Reading
     predicted: tuple[Rollouts, Rollouts]
     true: tuple[Rollouts, Rollouts]
-    warning: str
+    answer: Answer
 
 
 class Truth:
     """What made the recordings of a run, in any world."""
 
-    def __init__(self, run: Run, folder: Path | None, repetitions: int) -> None:
-        self.test = run.demos.select(split="test")
+    def __init__(
+        self, run: Run, folder: Path | None, repetitions: int, planning: bool = False
+    ) -> None:
+        self.test, self.planning = run.demos.select(split="test"), planning
         self.unit, self.repetitions = unit_of(run.demos), repetitions
         self.teams = teams_of(run.demos, folder)
         self.species: Species = SPECIES[run.species.name]
@@ -121,17 +125,13 @@ class Truth:
     def roll_out(self, scenario: Scenario | None, reading: Reading, seed: int) -> Rollouts:
         """Return rollouts from the test starts, in the unchanged world without a scenario."""
         options = {} if scenario is None else scenario.options(self.species, self.unit)
-        # A program sees the world as it is; what it takes itself for is its own affair.
-        seen: Reading = reading if self.teams is not None else "habit"
-        species = change_world(self.species, seen, **options)
-        believed = self.species if reading == "habit" else species
+        species = change_world(self.species, reading, **options)
         test = self.test if scenario is None else scenario.moved(self.test, species)
         if self.teams is None:
             if scenario is not None and scenario.removed:
                 left = Present.without(species, scenario.removed)
-                species, test = left.species, left.demonstrations(test)
-                believed = Present.without(believed, scenario.removed).species
-            return self._program(species, believed, test, seed)
+                species, test = left.species, test.of_individuals(left.own)
+            return self._program(species, test, seed)
         parts = []
         for condition in np.unique(self.test.condition).tolist():
             told = condition if scenario is None else self._told(scenario, condition)
@@ -155,16 +155,15 @@ class Truth:
         name = scenario.condition
         return condition if name is None else self.species.conditions.index(name)
 
-    def _program(
-        self, species: Species, believed: Species, test: Demonstrations, seed: int
-    ) -> Rollouts:
+    def _program(self, species: Species, test: Demonstrations, seed: int) -> Rollouts:
         world = make_scenario(species, demos=test, split=None)
         policy: Any
         if isinstance(species, SearchSpecies):
-            assert isinstance(believed, SearchSpecies)
-            policy, make = ProgrammedPolicy(believed, seed), partial(make_world, world)
+            plans_with = species if self.planning else self.species
+            assert isinstance(plans_with, SearchSpecies)
+            policy, make = ProgrammedPolicy(plans_with, seed), partial(make_world, world)
         else:
-            policy = Courtship(world, seed, believed.locomotion)
+            policy = Courtship(world, seed, species.locomotion if self.planning else None)
             make = policy.make_world
         return collect_rollouts(
             make, policy, method="truth", seed=seed, repetitions=self.repetitions
@@ -247,11 +246,15 @@ def larvae(seeds: list[int], cells: Path, permutations: int) -> pd.DataFrame:
 
 
 def answered(
-    runs: list[Run], changes: tuple[str, ...], repetitions: int, truth_folder: Path | None
+    runs: list[Run],
+    changes: tuple[str, ...],
+    repetitions: int,
+    truth_folder: Path | None,
+    planning: bool = False,
 ) -> Iterator[Answered]:
     """Ask the clones and what made their recordings; changes of bodies in both readings."""
-    truth = Truth(runs[0], truth_folder, max(repetitions, TRUE_REPETITIONS))
-    readings: tuple[Reading, ...] = ("habit", "knows")
+    truth = Truth(runs[0], truth_folder, max(repetitions, TRUE_REPETITIONS), planning)
+    readings: tuple[Reading, ...] = ("habit",) if planning else ("habit", "knows")
     for reading in readings:
         scenarios = parse_scenarios(changes, runs[0].scenario.species, separately=True)
         asked = [s for s in scenarios if reading == "habit" or s.moves_bodies]
@@ -266,7 +269,7 @@ def answered(
                 reading,
                 (found.baseline, answer.rollouts),
                 (usual, truth.roll_out(answer.scenario, reading, 0)),
-                answer.warning,
+                answer,
             )
 
 
@@ -276,20 +279,20 @@ def rows(name: str, runs: list[Run], one: Answered) -> Iterator[dict[str, Any]]:
     counts = np.ones(len(test), dtype=bool)
     if one.scenario.condition is not None:
         counts = test.condition != species.conditions.index(one.scenario.condition)
-    unit = unit_of(runs[0].demos)
+    unit, said = unit_of(runs[0].demos), one.answer.table.set_index("quantity")
     measures = {measure.name: measure.values for measure in quantities_of(one.true[1], unit)}
     for quantity in quantities_of(species, unit):
         if quantity.name not in measures:  # of somebody who is gone
             continue
         measure = measures[quantity.name]
         before, after = quantity.values(one.predicted[0]), measure(one.predicted[1])
-        true = _by_start(one.true[1], measure(one.true[1]), len(test)) - _by_start(
-            one.true[0], quantity.values(one.true[0]), len(test)
-        )
+        usual = _by_start(one.true[0], quantity.values(one.true[0]), len(test))
+        true = _by_start(one.true[1], measure(one.true[1]), len(test)) - usual
         demo = one.predicted[1].demo
         mean = partial(mean_over_starts, runs=len(runs), test=test, rng=np.random.default_rng(0))
         shift = mean(after - before, demo, counts=counts[demo])
         miss = mean(after - before - true[demo], demo, counts=counts[demo])
+        gap = mean(before - usual[demo], demo, counts=counts[demo])
         starts = np.arange(len(test))
         truth = mean_over_starts(
             true, starts, runs=1, test=test, rng=np.random.default_rng(0), counts=counts
@@ -302,10 +305,12 @@ def rows(name: str, runs: list[Run], one: Answered) -> Iterator[dict[str, Any]]:
             "true": truth.estimate, "true_low": truth.low, "true_high": truth.high,
             "predicted": shift.estimate, "low": shift.low, "high": shift.high,
             "miss": miss.estimate, "miss_low": miss.low, "miss_high": miss.high,
+            "gap": gap.estimate, "gap_low": gap.low, "gap_high": gap.high,
+            **said.loc[quantity.name, ["seeds_low", "seeds_high", "other_reading", "beyond"]],
             "clear": clear, "covered": not missed,
             "sign_right": bool(shift.estimate * truth.estimate > 0) if clear else None,
             "wrong": missed and abs(miss.estimate) > WRONG * abs(truth.estimate),
-            "warning": one.warning,
+            "warning": one.answer.warning,
         }  # fmt: skip
 
 
@@ -329,6 +334,48 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                 "wrong": int(part["wrong"].sum()),
             }
         )  # fmt: skip
+    return pd.DataFrame(found)
+
+
+def bars(table: pd.DataFrame) -> pd.DataFrame:
+    """Return what must hold: ``set, bar, found, met``; by set and over all sets.
+
+    Inside the training range is what no warning is said of. The sign is asked where both shifts are
+    clear of zero, and the error of rows whose true shift is clear of zero. Every row that is wrong
+    should have a warning, and few of the others.
+    """
+    found: list[dict[str, Any]] = []
+
+    def add(name: str, bar: str, value: str, met: bool) -> None:
+        found.append({"set": name, "bar": bar, "found": value, "met": "yes" if met else "NO"})
+
+    flags = table[table["change"].str.startswith("condition=") & (table["set"] == RECORDED)]
+    for row in flags[flags["quantity"] == "path length"].itertuples():
+        error = abs(row.miss / row.true)
+        add(RECORDED, f"{row.change}: path within 25 % of the truth, miss covers zero",
+            f"{row.predicted:.1f} of {row.true:.1f} ({error:.0%} off), miss "
+            f"{row.miss:.1f} [{row.miss_low:.1f}, {row.miss_high:.1f}]",
+            error <= 0.25 and row.covered)  # fmt: skip
+        add(RECORDED, f"before {row.change}: simulated minus recorded path covers zero",
+            f"{row.gap:.1f} [{row.gap_low:.1f}, {row.gap_high:.1f}]",
+            row.gap_low <= 0 <= row.gap_high)  # fmt: skip
+    for name, part in [*table.groupby("set", sort=False), ("all", table)]:
+        inside = part[part["warning"] == Caution.NONE]
+        clear = inside[inside["clear"].astype(bool)]
+        signs = clear[(clear["low"] > 0) | (clear["high"] < 0)]
+        right = int((signs["sign_right"].astype(float) == 1).sum())
+        covered = inside["covered"].astype(float).mean()
+        error = (clear["miss"] / clear["true"]).abs().median()
+        add(name, "no warning: sign right in all", f"{right} of {len(signs)}", right == len(signs))
+        add(name, "no warning: interval covers the truth in 90 %", f"{covered:.0%}", covered >= 0.9)
+        add(name, "no warning: median error a fifth at most", f"{error:.0%}", error <= 0.2)
+        wrong = part["wrong"].astype(bool)
+        warned_of = part["warning"] != Caution.NONE
+        caught, alarms = int((wrong & warned_of).sum()), int((~wrong & warned_of).sum())
+        add(name, "90 % of wrong rows are warned of", f"{caught} of {wrong.sum()}",
+            caught >= 0.9 * wrong.sum())  # fmt: skip
+        add(name, "20 % of right rows are warned of at most", f"{alarms} of {(~wrong).sum()}",
+            alarms <= 0.2 * (~wrong).sum())  # fmt: skip
     return pd.DataFrame(found)
 
 
@@ -358,6 +405,9 @@ def main(
     ] = False,
     change: Annotated[list[str] | None, typer.Option(help="Only these; repeatable.")] = None,
     permutations: Annotated[int, typer.Option(help="Of the conditions of larvae.")] = 20,
+    planning: Annotated[
+        bool, typer.Option("--planning", help="The third truth: programs plan with their new body.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the tables.")] = None,
 ) -> None:
     """Print what was predicted beside what is true."""
@@ -380,27 +430,48 @@ def main(
         runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
         folder = agents / "weights" if name == RECORDED else None
         for one in answered(
-            runs, tuple(change or changes[name]), 2 if quick else repetitions, folder
+            runs, tuple(change or changes[name]), 2 if quick else repetitions, folder, planning
         ):
             found = list(rows(name, runs, one))
             parts += found
             _print(console, name, one, found)
-    table = pd.DataFrame(parts)
-    short = summary(table)
+    table = pd.DataFrame(parts).assign(commit=commit())
+    published = None if out is None else out / "whatif_truth.csv"
+    if published is not None and published.exists():  # what was not asked anew stays
+        kept = pd.read_csv(published)
+        asked = set(zip(table["set"], table["change"], strict=True))
+        stays = [pair not in asked for pair in zip(kept["set"], kept["change"], strict=True)]
+        table = pd.concat([kept[stays], table]).sort_values(
+            "set", key=lambda names: names.map(list(CHANGES).index), kind="stable"
+        )
+    short, held = summary(table), bars(table)
     console.print(short.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+    console.print(held.to_string(index=False))
     console.print(warned(table))
     if out is not None:
-        with all_files_or_none(out) as part:
-            table.to_csv(part / "whatif_truth.csv", index=False, float_format="%.4g")
-            short.to_csv(part / "summary.csv", index=False, float_format="%.4g")
-            (part / "README.md").write_text(page(table, short), encoding="utf-8")
+        out.mkdir(parents=True, exist_ok=True)
+        table.to_csv(out / "whatif_truth.csv", index=False, float_format="%.4g")
+        short.to_csv(out / "summary.csv", index=False, float_format="%.4g")
+        held.to_csv(out / "bars.csv", index=False)
+        (out / "README.md").write_text(page(table, short, held), encoding="utf-8")
 
 
-def page(table: pd.DataFrame, short: pd.DataFrame) -> str:
-    """Return the summary in Markdown."""
+def commit() -> str:
+    """Return the commit of this code."""
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
+    """Return the summary and what must hold in Markdown."""
+    made = table.groupby("set", sort=False)[["seeds", "commit"]].first()
     lines = [
         "# What-if answers beside their truth", "",
         "    python benchmarks/whatif_truth.py --out docs/results/whatif", "",
+        "; ".join(
+            f"{name}: {row.seeds} training seeds, commit {row.commit}"
+            for name, row in made.iterrows()
+        ) + ".", "",
         "Every row of `whatif_truth.csv` is one quantity of one change; what the columns mean",
         "stands in the benchmark's docstring. `covered`: the interval of predicted minus true",
         "holds zero. `sign right` and `median error` (of the true shift) are over rows whose true",
@@ -413,11 +484,15 @@ def page(table: pd.DataFrame, short: pd.DataFrame) -> str:
         f"{row.clear} | {row.sign_right:.0%} | {row.median_error:.0%} | {row.wrong} |"
         for row in short.itertuples()
     ]
-    return "\n".join([*lines, "", warned(table), ""])
+    lines += ["", warned(table), "", "## What must hold", ""]
+    lines += map(str.strip, str(bars.__doc__).strip().splitlines()[2:])
+    lines += ["", "| set | bar | found | met |", "|---|---|---|---|"]
+    lines += [f"| {row.set} | {row.bar} | {row.found} | {row.met} |" for row in held.itertuples()]
+    return "\n".join([*lines, ""])
 
 
 def _print(console: Console, name: str, one: Answered, found: list[dict[str, Any]]) -> None:
-    title = f"{name}: {one.scenario.name} ({one.reading}), warning: {one.warning}"
+    title = f"{name}: {one.scenario.name} ({one.reading}), warning: {one.answer.warning}"
     table = Table(title=title, title_justify="left", box=None)
     for column in ("quantity", "true", "predicted", "predicted - true", ""):
         table.add_column(column, justify="left" if column in ("quantity", "") else "right")

@@ -37,7 +37,7 @@ COLOURS = {"none": "green", "some": "yellow", "red": "red"}
 )
 def whatif_command(
     runs: list[Path],
-    change: list[str],
+    change: list[str] | None = None,
     out: Path = Path("out/whatif"),
     repetitions: int = 5,
     separately: bool = False,
@@ -49,8 +49,16 @@ def whatif_command(
     The policies are not trained again. Every answer is a difference from the unchanged world with
     a 95 % interval, and a warning if inputs leave the range of training.
 
+    What can be changed: speed, thrust, damping and start of an individual (prey.speed), of a kind
+    (predators.thrust) or of all (all.damping); arena, contact and time_limit; condition=NAME, if
+    the run learned from several; remove=predator_1; start=uniform; of a moth plume, wind, odour and
+    the numbers of its senses. Without --change the names of this run are listed.
+
     Values: a factor (x1.2), a change (+20%), a value with its unit (60s, 0.15), or a sweep
     (-20%..+20%/5). Speed is the achieved mean speed: the thrust for it is found and printed.
+    An answer in grey is no finding: its interval holds zero, it is smaller than the gap between the
+    unchanged simulation and the recordings, or a red warning says that it is a guess. A condition
+    is a finding only with --permutations 20.
 
     Examples:
 
@@ -70,7 +78,7 @@ def whatif_command(
     from animarl_algos.whatif.answer_page import save_answers
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
 
-    console = Console()
+    console, change = Console(), change or []
     loaded = [load_run(run) for run in runs]
     nulls: list[Run] = []
     if permutations:

@@ -43,6 +43,7 @@ FAR_APART = 0.1  # tries of thrust, for a slope to be read off them [log]
 USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
 THRUST_LIMITS = (1 / 8, 8.0)
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
+RISES, FALLS = "rises", "falls"
 
 
 class TrainedRun(Protocol):
@@ -82,11 +83,14 @@ class Answer:
         What was changed.
     table
         One row per quantity: ``scenario, quantity, unit, recorded, baseline, changed, shift, low,
-        high, gap, covers, other_reading, null_low, null_high, p, warning, finding``. ``gap`` is
-        baseline minus recorded. ``null_low`` to ``null_high`` is where 95 % of the shifts of runs
-        with permuted labels lie, and ``p`` how often these are as large. ``finding`` is false
-        where the shift's interval holds zero, where it is smaller than the gap, where ``p`` is
-        above .05 or where the warning is red.
+        high, gap, covers, other_reading, seeds_low, seeds_high, beyond, null_low, null_high, p,
+        warning, judged, finding``. ``gap`` is baseline minus recorded, ``seeds_low`` to
+        ``seeds_high`` the range of the shifts of single training seeds, ``beyond`` the share of
+        steps more than usual with inputs that training did not have. ``null_low`` to ``null_high``
+        is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these are
+        as large.
+        ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
+        falls.
     warning
         ``none``, ``some`` or ``red``.
     reason
@@ -183,10 +187,19 @@ def ask(
     Raises
     ------
     InputError
-        If a change is unknown or cannot be made. Nothing is simulated then.
+        If a change is unknown or cannot be made, or runs are not of the same animals. Nothing is
+        simulated then.
     """
     first = runs[0]
     species = first.scenario.species
+    for run in runs:
+        names = run.scenario.species.individuals
+        if names != species.individuals or len(run.demos) != len(first.demos):
+            raise InputError(
+                f"runs are of different recordings ({', '.join(names)} in {len(run.demos)} "
+                f"episodes, {', '.join(species.individuals)} in {len(first.demos)}): give training "
+                "seeds of one learner"
+            )
     scenarios = parse_scenarios(changes, species, separately=separately)
     unit = unit_of(first.demos)
     for scenario in scenarios:
@@ -254,6 +267,7 @@ class _Asker:
         warning, reason = self._warning(beyond, inputs, rows)
         by_chance = np.array([one.shifts(scenario) for one in nulls])
         for column, row in enumerate(rows):
+            row["beyond"] = float((beyond - self.usual).max())
             row |= {"null_low": np.nan, "null_high": np.nan, "p": np.nan}
             if len(by_chance):
                 null = by_chance[:, column]
@@ -261,10 +275,9 @@ class _Asker:
                 as_large = int((np.abs(null) >= abs(row["shift"])).sum())
                 row |= {"null_low": low, "null_high": high, "p": (1 + as_large) / (1 + len(null))}
             row["warning"] = warning
-            clear = row["low"] > 0 or row["high"] < 0
-            large = not abs(row["shift"]) < abs(row["gap"])
-            beyond_chance = not row["p"] > CUE_LEVEL
-            row["finding"] = bool(clear and large and beyond_chance and warning != Caution.RED)
+            cue = scenario.condition is not None and not self.species.condition_is_sensed
+            row["judged"] = judge(row, of_a_cue=cue)
+            row["finding"] = row["judged"] in (RISES, FALLS)
         import pandas as pd
 
         return Answer(
@@ -396,11 +409,14 @@ class _Asker:
                 further = self._mean(other, measure(other) - before, counts).estimate
             baseline = self._mean(self.baseline, before, counts).estimate
             true = float(np.nanmean(quantity.values(recorded)[shown]))
+            counted = np.where(counts, after - before, np.nan).reshape(len(self.runs), -1)
+            seeds = np.nanmean(counted, axis=1)
             yield {
                 "scenario": scenario.name, "quantity": quantity.name, "unit": quantity.unit,
                 "recorded": true, "baseline": baseline, "changed": baseline + shift.estimate,
                 "shift": shift.estimate, "low": shift.low, "high": shift.high,
                 "gap": baseline - true, "covers": self.covers, "other_reading": further,
+                "seeds_low": seeds.min(), "seeds_high": seeds.max(),
             }  # fmt: skip
 
     @property
@@ -446,6 +462,25 @@ class _Asker:
                 f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
             )
         return word, "; ".join(reasons)
+
+
+def judge(row: Mapping[str, Any], of_a_cue: bool) -> str:
+    """Return what a shift is, in a few words: :data:`RISES`, :data:`FALLS`, or why it is neither.
+
+    Recordings of two conditions differ by chance too, and policies learn that. So the shift of a
+    cue is no finding without the shifts of runs with permuted conditions beside it.
+    """
+    if row["warning"] == Caution.RED:
+        return "a guess"
+    if not (row["low"] > 0 or row["high"] < 0):
+        return "not clear of zero"
+    if abs(row["shift"]) < abs(row["gap"]):
+        return "smaller than the gap"
+    if of_a_cue and not np.isfinite(row["p"]):
+        return f"without a null: add --permutations {round(1 / CUE_LEVEL)}"
+    if row["p"] > CUE_LEVEL:
+        return "as by chance"
+    return RISES if row["shift"] > 0 else FALLS
 
 
 def mean_over_starts(

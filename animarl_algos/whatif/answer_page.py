@@ -38,7 +38,7 @@ from animarl_algos.report.player import (
 from animarl_algos.report.provenance import provenance, to_paste
 from animarl_algos.report.style import figure_style, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
-from animarl_algos.whatif.answer import CUE_LEVEL, Answer, WhatIf
+from animarl_algos.whatif.answer import Answer, WhatIf
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
 from animarl_envs.files import all_files_or_none
@@ -51,8 +51,8 @@ WHAT_IT_IS = (
     "The same behaviour in another world: nobody learns, and nobody adapts. A thrust is not a "
     "speed: a change of speed is met by a thrust that was found by simulation. Baseline and "
     "scenario start from the same recordings and meet the same random numbers. The interval (95 %) "
-    "speaks of {covers}, not of the training recordings{null}. A shift that is smaller than the "
-    "gap between the unchanged simulation and the recordings is no finding."
+    "speaks of {covers}, not of the choice of the training recordings{null}. A shift that is "
+    "smaller than the gap between the unchanged simulation and the recordings is no finding."
 )
 GUESS = "This answer is a guess."
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
@@ -124,24 +124,11 @@ def findings(answer: Answer) -> list[str]:
     if answer.warning == Caution.RED:
         return [GUESS]
     return [
-        f"{capitalised(row['quantity'])} {'rises' if row['shift'] > 0 else 'falls'} by "
+        f"{capitalised(row['quantity'])} {row['judged']} by "
         f"{abs(row['shift']):.3g} {row['unit']} "
         f"[{', '.join(f'{abs(end):.3g}' for end in sorted((row['low'], row['high']), key=abs))}]."
         for _, row in table[table["finding"]].iterrows()
     ] or ["No shift is clear of chance and of the gap."]
-
-
-def _judged(row: pd.Series) -> str:
-    """What a shift is, in two or three words."""
-    if row["warning"] == Caution.RED:
-        return "a guess"
-    if not (row["low"] > 0 or row["high"] < 0):
-        return "not clear of zero"
-    if abs(row["shift"]) < abs(row["gap"]):
-        return "smaller than the gap"
-    if row["p"] > CUE_LEVEL:
-        return "as by chance"
-    return "rises" if row["shift"] > 0 else "falls"
 
 
 # -- the page -------------------------------------------------------------------------------------
@@ -231,7 +218,7 @@ def _row(row: pd.Series) -> Row:
         interval(row.rename({"low": "shift_low", "high": "shift_high"}), "shift"), factor
     )
     p = f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else ""
-    cells += [with_interval(shift), number(factor * row["gap"]), _judged(row) + p]
+    cells += [with_interval(shift), number(factor * row["gap"]), row["judged"] + p]
     red = row["warning"] == Caution.RED
     return Row(cells, faint=not row["finding"], hatched=red)
 

@@ -226,7 +226,8 @@ def body_of_each(bodies: tuple[str, ...], roles: tuple[str, ...]) -> tuple[str, 
 Reading = Literal["habit", "knows"]
 """How a trained policy perceives a changed world. ``"habit"``: in the scales it was trained with,
 so the same places and velocities give the same inputs. ``"knows"``: individuals know their changed
-bodies, so all inputs about their own motion are in units of the new thrust."""
+bodies, so their own velocities are in units of the new thrust. What they did in the last step is in
+units of the body that did it in both: a full thrust stays a full thrust."""
 
 
 @dataclass(frozen=True)
@@ -236,8 +237,9 @@ class SenseScales:
     Parameters
     ----------
     locomotion
-        Of each individual: its velocity is measured in what this thrust adds in a step, and its
-        acceleration is what this damping leaves unexplained, in multiples of this thrust.
+        Of each individual: its velocity is measured in what this thrust adds in a step. Recorded
+        accelerations are what this damping leaves unexplained, in multiples of this thrust;
+        simulated ones are those of the present body.
     dt
         The step that goes with it [s].
     arena_size

@@ -61,7 +61,9 @@ class Behaviour:
 class CourtshipPolicy:
     """Decides for all individuals of ``world``, in all its copies, by what they see.
 
-    ``believed`` is the locomotion that they take themselves to have, by default their own.
+    In a changed world they perceive their motion as trained policies do
+    (:data:`animarl_envs.species.base.Reading`). ``believed`` is the locomotion that they plan with,
+    by default that of these scales.
     """
 
     world: ChaseWorld
@@ -71,7 +73,8 @@ class CourtshipPolicy:
 
     def __post_init__(self) -> None:
         species = self.world.scenario.species
-        bodies = self.believed or species.locomotion
+        bodies = self.believed or species.scales.locomotion
+        self._peak = self.behaviour.peak / np.array(species.scales.own_velocity)
         self._damping = np.array([[body.damping] for body in bodies])
         self._thrust = np.array([[body.thrust] for body in bodies])
         angles = np.abs(np.arange(-TURNS + 2, TURNS))  # of the actions 0 to 11, in steps of 30 deg
@@ -91,7 +94,7 @@ class CourtshipPolicy:
         thrusting = np.linalg.norm(acceleration, axis=2) > 0.5
         onwards = np.where(thrusting[..., None], acceleration, velocity / (self._thrust * dt))
         draw, direction = self.rng.random((2, *speed.shape))
-        peaks = np.exp(-(speed / behaviour.peak - 1.0) / behaviour.spread)
+        peaks = np.exp(-(speed / self._peak - 1.0) / behaviour.spread)
         stops = (draw < 1.0 / (1.0 + peaks)) | self._meets_wall(velocity)
         onwards = self._nearest_action(onwards)
         going = np.where(stops | (thrusting & (along < 0.0)), brake, onwards)
@@ -110,7 +113,7 @@ class CourtshipPolicy:
         towards = world.towards[..., None, :]
         ahead, left = np.cos(angle)[:, None], np.sin(angle)[:, None]
         across = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
-        reach = (self.behaviour.peak**2 / self._thrust)[..., None]  # of a move of usual speed
+        reach = (self._peak[:, None] ** 2 / self._thrust)[..., None]  # of a move of usual speed
         place = position[..., None, :] + reach * (ahead * towards + left * across)
         weights *= self._inside(place)
         summed = weights.cumsum(axis=2)

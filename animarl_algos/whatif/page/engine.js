@@ -517,8 +517,9 @@ const AnimaRL = (() => {
       const recorded = this.replayed(b);
       if (recorded >= 0) this.follow(b, recorded);
       for (let k = 0; k < 2 * K; k++) {
-        const i = k >> 1, kept = (1 - senses.damping[i]) * this.before[k] + 0;
-        this.push[at + k] = (velocity[at + k] - kept) / senses.push[i];
+        const i = k >> 1, was = recorded >= 0; // a recorded animal had the body of the recordings
+        const kept = (1 - (was ? senses.damping[i] : this.damping[i])) * this.before[k] + 0;
+        this.push[at + k] = (velocity[at + k] - kept) / (was ? senses.push[i] : this.thrust[i] * dt);
       }
       this.placeAbsent(b);
       const outcome = this.#judge(b);
@@ -819,7 +820,9 @@ const AnimaRL = (() => {
       else if (frame >= 0 && starts.heading !== null) this.#point(b, starts.heading[frame]);
       else this.#swing(b);
       this.#smell(b, frame >= 0 && starts.hits !== null ? frame : -1);
-      const residual = (after, before) => (after - ((1 - senses.damping) * before + 0)) / senses.stride;
+      const [damping, push] = // a recorded animal had the body of the recordings
+        recorded >= 0 ? [senses.damping, senses.stride] : [this.damping[0], this.thrust[0] * this.dt];
+      const residual = (after, before) => (after - ((1 - damping) * before + 0)) / push;
       this.push[at] = residual(this.velocity[at], beforeX);
       this.push[at + 1] = residual(this.velocity[at + 1], beforeY);
       this.observe(b);

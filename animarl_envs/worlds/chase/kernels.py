@@ -145,9 +145,10 @@ def advance(asked, moving, state):  # type: ignore[no-untyped-def]
         move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
         if state.walled:
             rebound(field, position, velocity)
+        accelerate(velocity, damping, thrust, dt, acceleration)
         if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
-            replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
-        accelerate(velocity, state.senses, acceleration)
+            replay(drivers, warmup, demos, demo, step_count, state.senses, position, velocity,
+                   acceleration, warming)  # fmt: skip
         turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies,
                     state.headed)  # fmt: skip
         _end(state.free, state)
@@ -202,21 +203,25 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity, befo
 
 
 @part
-def accelerate(velocity, senses, acceleration):  # type: ignore[no-untyped-def]
+def accelerate(velocity, damping, thrust, dt, acceleration):  # type: ignore[no-untyped-def]
     """Turn the velocities before the step into accelerations in multiples of thrust, in place."""
     K, _, B = velocity.shape
     for i in range(K):
+        push = thrust[i] * dt
         for x in range(2):
             for b in range(B):
-                added = residual(velocity[i, x, b], acceleration[i, x, b], senses.damping[i])
-                acceleration[i, x, b] = added / senses.push[i]
+                added = residual(velocity[i, x, b], acceleration[i, x, b], damping[i])
+                acceleration[i, x, b] = added / push
 
 
 @part
-def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming):  # type: ignore[no-untyped-def]
+def replay(  # type: ignore[no-untyped-def]
+    drivers, warmup, demos, demo, step_count, senses, position, velocity, acceleration, warming
+):
     """Set what follows its demonstration: all during warm-up, the replaying ones always.
 
-    When a replayed path ends before the episode does, that individual coasts.
+    When a replayed path ends before the episode does, that individual coasts. Recorded animals had
+    the body of the senses' scales, in a changed world too.
     """
     K, _, B = position.shape
     for b in range(B):
@@ -232,6 +237,9 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
                 for x in range(2):
                     position[i, x, b] = demos.position[frame, i, x]
                     velocity[i, x, b] = demos.velocity[frame, i, x]
+                    before = demos.velocity[frame - 1, i, x]
+                    added = residual(velocity[i, x, b], before, senses.damping[i])
+                    acceleration[i, x, b] = added / senses.push[i]
         warming[b] = step_count[b] < warmup and left > 1
 
 

@@ -14,9 +14,9 @@ from numba.experimental import structref
 
 from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
-from animarl_envs.kinematics import next_velocity
+from animarl_envs.kinematics import next_velocity, residual
 from animarl_envs.scenario import ACTION, REPLAY
-from animarl_envs.worlds.search.senses import orient, push_of, read, sense, smell, wake
+from animarl_envs.worlds.search.senses import orient, read, sense, smell, wake
 from animarl_envs.worlds.streams import next_below, next_uniform
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
@@ -165,8 +165,10 @@ def step(asked, state):  # type: ignore[no-untyped-def]
             left, right = smell(b, position, body, senses, odour, state.random)
         else:
             left, right = read(b, position, body, senses, table, pattern[b], phase[b] + t)
-        push_x = push_of(before_x, vx, senses)
-        push_y = push_of(before_y, vy, senses)
+        own_damping = senses.damping if replay else damping
+        own_push = senses.stride if replay else thrust * dt
+        push_x = residual(vx, before_x, own_damping) / own_push
+        push_y = residual(vy, before_y, own_damping) / own_push
         sense(b, vx, vy, push_x, push_y, left, right, condition[b], senses, body, sensed, b)
 
 
@@ -183,8 +185,10 @@ def sense_recorded(velocity, start, condition, hits, headings, traits, senses, b
                 wake(0, vx, vy, True, frame, headings, senses, body)
             else:
                 orient(0, vx, vy, True, frame, headings, senses, body)
-                push_x = push_of(velocity[frame - 1, 0, 0], vx, senses)
-                push_y = push_of(velocity[frame - 1, 0, 1], vy, senses)
+                before_x = velocity[frame - 1, 0, 0]
+                before_y = velocity[frame - 1, 0, 1]
+                push_x = residual(vx, before_x, senses.damping) / senses.stride
+                push_y = residual(vy, before_y, senses.damping) / senses.stride
             sense(
                 0, vx, vy, push_x, push_y, hits[frame, 0], hits[frame, 1], condition[e], senses,
                 body, out, frame,

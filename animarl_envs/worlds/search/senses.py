@@ -9,7 +9,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
+from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
 from animarl_envs.worlds.search.layout import ALIKE, HARDEST, ODOUR, PAPER, REST, SMALL, Seen
@@ -178,19 +178,13 @@ def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-
 
 
 @nb.njit(inline="always")
-def push_of(velocity, after, senses):  # type: ignore[no-untyped-def]
-    """What led from one velocity to the next, of one component, in multiples of the thrust."""
-    return residual(after, velocity, senses.damping) / senses.stride
-
-
-@nb.njit(inline="always")
 def sense(  # type: ignore[no-untyped-def]
     b, velocity_x, velocity_y, push_x, push_y, hit_left, hit_right, condition, senses, body, out,
     column,
 ):  # fmt: skip
     """Update the odour signals and write the observation into ``out[:, column]``.
 
-    ``push_x`` and ``push_y`` are those of :func:`push_of`, zero in a first frame.
+    ``push_x`` and ``push_y`` led here, in multiples of the thrust; zero in a first frame.
     """
     odour, trace = body.odour, body.trace
     base = senses.baseline

@@ -219,6 +219,14 @@ def test_starts_are_changed_and_lie_in_the_field(chase: Run) -> None:
             ask([chase], [text])
 
 
+def test_runs_of_other_animals_are_refused_and_seeds_have_a_range(chase: Run) -> None:
+    with pytest.raises(InputError, match="give training seeds of one learner"):
+        ask([chase, load_run("fly")], ["contact=x2"])
+    (answer,) = ask([chase, chase], ["contact=x2"], repetitions=1).answers
+    assert (answer.table["seeds_low"] == answer.table["seeds_high"]).all()
+    assert answer.table["seeds_low"].to_numpy() == pytest.approx(answer.table["shift"].to_numpy())
+
+
 def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: Run) -> None:
     (answer,) = ask([chase], ["arena=x3"], repetitions=2).answers
     assert answer.warning == "red" and "distance to the edge" in answer.reason
@@ -282,6 +290,8 @@ def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
         assert (out / name).read_bytes() == (again / name).read_bytes(), name
     with pytest.raises(InputError, match="cannot be changed"):
         animarl("whatif", "agent", "--change", "wings=x2", "--out", tmp_path / "no")
+    with pytest.raises(InputError, match=r"nothing is changed: .* NAME is one of predator_0.speed"):
+        animarl("whatif", "agent", "--out", tmp_path / "no")
     assert not (tmp_path / "no").exists()
 
 
@@ -340,7 +350,8 @@ def test_conditions_are_permuted_among_recordings_within_splits() -> None:
 
 def test_a_cue_is_no_finding_where_permuted_conditions_shift_as_far(chase: Run) -> None:
     (alone,) = ask([chase], ["condition=shared"], repetitions=1).answers
-    assert alone.table["p"].isna().all()
+    assert alone.table["p"].isna().all() and not alone.table["finding"].any()
+    assert alone.table["judged"].str.contains("without a null: add --permutations 20").any()
     found = ask([chase], ["condition=shared"], repetitions=1, permuted=[chase] * 3)
     (answer,) = found.answers
     rows = answer.table.set_index("quantity")

@@ -1,7 +1,7 @@
 """A trained policy keeps its scales in a changed world: same places and velocities, same inputs."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -144,6 +144,32 @@ def test_more_others_change_no_input_about_oneself_and_the_nearer(name: str) -> 
         np.testing.assert_array_equal(
             crowd.observation[0, k, shared], alone.observation[0, i], names_of(species)[0]
         )
+
+
+@pytest.mark.parametrize("reading", get_args(Reading))
+@pytest.mark.parametrize("name", SPECIES)
+def test_a_full_thrust_is_perceived_as_one_in_every_body(name: str, reading: Reading) -> None:
+    """A recorded animal acted with the body of the recordings, a simulated one with its own."""
+    species = with_options(get_species(name), warmup=3)
+    bodies = {one: {"thrust": 0.02, "damping": 0.3} for one in species.individuals}
+    changed = change_world(species, reading, locomotion=bodies)
+    names = names_of(changed)
+    felt = [i for i, one in enumerate(names) if "acceleration" in one and "/ u" in one]
+    world, usual = (
+        make_world(make_scenario(one, demos=few(species))) for one in (changed, species)
+    )
+    assert len(felt) == 2
+    for one in (world, usual):
+        one.reset(demo=np.zeros(1, dtype=np.int64))
+    for t in range(6):
+        for one in (world, usual):
+            one.step(np.zeros((1, species.num_individuals), dtype=np.int64))
+        push = np.linalg.norm(world.observation[0][:, felt], axis=-1)
+        if t >= species.warmup:
+            np.testing.assert_allclose(push, species.locomotion[0].magnitudes[0], rtol=1e-4)
+        elif reading == "habit":
+            same = world.observation[0][:, felt] == usual.observation[0][:, felt]
+            assert same.all()
 
 
 @pytest.mark.parametrize("name", SPECIES)
