@@ -40,7 +40,10 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     duration, seconds = found["duration"], found["total_duration"]
     rows = {
         "species": demos.species,
-        "individuals": ", ".join(
+        "individuals": f"{demos.num_individuals} that are alike, {demos.individuals[0]} to "
+        f"{demos.individuals[-1]}"
+        if demos.is_group
+        else ", ".join(
             f"{n} ({r})" if demos.has_goal else n for n, r in found["individuals"].items()
         ),
         "kind": "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals",
@@ -59,7 +62,7 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     if len(keypoints) > 1:
         used = {str(one.get("keypoint")) for one in _cleaning(demos).values()}
         rows["keypoints"] = f"{', '.join(keypoints)}; used: {', '.join(used)}"
-    for name in demos.individuals:
+    for name in demos.kinds:
         speed = found[f"speed of {name}"]
         rows[f"speed of {name}"] = (
             f"median {scale * speed['median']:.3g}, 99th percentile {scale * speed['99 %']:.3g} "
@@ -228,7 +231,7 @@ def hints(demos: Demonstrations) -> list[str]:
     smoothing = [one.get("smoothing", {}) for one in _cleaning(demos).values()]
     smoothed = any(one.get("cutoff_hz", np.inf) <= SMOOTH for one in smoothing)
     if not (demos.synthetic or smoothed or 1.0 / demos.dt < OFTEN):
-        kept = zip(demos.individuals, persistence(demos))
+        kept = zip(demos.kinds, persistence(demos), strict=True)
         jumpy = [f"{name} {100 * share:.0f} %" for name, share in kept if share < STEADY]
         if jumpy:
             found.append(

@@ -30,7 +30,7 @@ from animarl_envs.fitting import LocomotionFit, fit_locomotion, track
 from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import FAST
 from animarl_envs.fitting.noise import fit_with_noise
-from animarl_envs.fitting.result import Method, doubts
+from animarl_envs.fitting.result import Method, doubts, fits_by_kind
 from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, StateFit, compare_states
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
@@ -181,7 +181,7 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
         f"resamples of episodes. Lengths in arena units{scale}."
     )
     rows = []
-    for one in fit.individuals:
+    for one in fits_by_kind(fit, demos):
         row = {
             "individual": one.name,
             "d (95 % CI)": _with_interval(one.damping, one.damping_interval),
@@ -243,7 +243,7 @@ def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     if fit.method != "joint" or demos.synthetic:
         return []
     seen, warned = learnable(demos), []
-    for i, one in enumerate(fit.individuals):
+    for i, one in enumerate(fits_by_kind(fit, demos)):
         noisy = fit_with_noise(seen, i, most_steps=QUICK_STEPS, intervals=False)
         if abs(one.thrust - noisy.thrust) > MATTERS * noisy.thrust:
             warned.append(
@@ -328,7 +328,7 @@ def _compare_states(
     """Fit states of locomotion and print how well each number explains what no fit has seen."""
     rows: list[dict[str, Any]] = []
     words = []
-    for i, name in enumerate(demos.individuals[:1] if demos.is_group else demos.individuals):
+    for i, name in enumerate(demos.kinds):
         fits, best = compare_states(demos, i, states, thrusts)
         for fit in fits:
             for s in range(len(fit.damping)):

@@ -44,6 +44,7 @@ from animarl_algos.report.words import (
     with_interval,
 )
 from animarl_envs.fitting import IndividualFit
+from animarl_envs.fitting.result import fits_by_kind
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -386,7 +387,7 @@ def _locomotion(inputs: ReportInputs) -> Iterator[Block]:
     yield tabulate(
         "Fitted locomotion",
         columns,
-        [("", fit.individuals)],
+        [("", fits_by_kind(fit, inputs.demos))],
         f"v\u2032 = (1 {MINUS} d) v + u a \u0394t, \u0394t = {fit.dt:g} s, {fit.method} "
         f"fit on {fit.episodes} episodes ({fit.fitted_on}); 95 % intervals over {fit.bootstrap:,} "
         f"resamples of episodes; velocity RMSE on {fit.validation_episodes} episodes "

@@ -172,6 +172,11 @@ class Episodes(ABC):
         return self.num_individuals > 2 and not self.has_goal
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of those who are described apart; of a group one name for all of its animals."""
+        return (f"each of {self.num_individuals}",) if self.is_group else self.individuals
+
+    @property
     def offsets(self) -> NDArray[np.int64]:
         """First frame of each episode, and one past the last: ``(episodes + 1,)``."""
         return np.concatenate([[0], np.cumsum(self.lengths)])

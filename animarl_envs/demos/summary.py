@@ -79,7 +79,7 @@ def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
 
 
 def persistence(demos: Demonstrations) -> NDArray[np.float64]:
-    """How much of a step is made in the next one too, ``(individuals,)``.
+    """How much of a step is made in the next one too, one number for each of ``demos.kinds``.
 
     The slope of the next step on the present one: 1 of steady motion, less of tracks that jump to
     and fro, -0.5 of somebody at rest whose position is known up to white noise. NaN of somebody who
@@ -91,7 +91,10 @@ def persistence(demos: Demonstrations) -> NDArray[np.float64]:
         step = np.diff(one.positions, axis=0)
         onwards += (step[1:] * step[:-1]).sum(axis=(0, 2))
         squares += (step[:-1] ** 2).sum(axis=(0, 2))
-    return np.divide(onwards, squares, out=np.full_like(squares, np.nan), where=squares > 0)
+    onwards = onwards.reshape(len(demos.kinds), -1).sum(axis=1)
+    squares = squares.reshape(len(demos.kinds), -1).sum(axis=1)
+    kept = np.divide(onwards, squares, out=np.full_like(squares, np.nan), where=squares > 0)
+    return np.asarray(kept)
 
 
 def summarise(demos: Demonstrations) -> dict[str, Any]:
@@ -118,12 +121,12 @@ def summarise(demos: Demonstrations) -> dict[str, Any]:
         "splits": {s: int((demos.split == s).sum()) for s in ("train", "val", "test")},
         "signals": list(demos.signals),
     }  # fmt: skip
-    for i, name in enumerate(demos.individuals):
-        top = float(np.quantile(speed[:, i], 0.99))
+    for name, own in zip(demos.kinds, np.split(speed, len(demos.kinds), axis=1), strict=True):
+        top = float(np.quantile(own, 0.99))
         found[f"speed of {name}"] = {
-            "median": float(np.median(speed[:, i])),
+            "median": float(np.median(own)),
             "99 %": top,
-            "resting": float((speed[:, i] < RESTING_SHARE * top).mean()),
+            "resting": float((own < RESTING_SHARE * top).mean()),
         }
     for condition in np.unique(demos.condition):
         outcome = demos.outcome[demos.condition == condition]

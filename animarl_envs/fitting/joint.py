@@ -71,7 +71,7 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
         If ``thrusts`` is none of 1 to 10, or an individual has too few steps or never moves.
     """
     check_thrusts(thrusts)
-    names = demos.individuals[:1] if demos.is_group else demos.individuals
+    names = demos.kinds
     alike = demos.num_individuals // len(names)  # of a group one stands for all
     every = [transitions(demos, i) for i in range(len(names))]
     ones = [

@@ -282,6 +282,13 @@ def braking_time(damping: float, dt: float) -> float:
     return 0.0 if damping == 1 else -dt / math.log1p(-damping)
 
 
+def fits_by_kind(fit: LocomotionFit, demos: Demonstrations) -> list[IndividualFit]:
+    """Return the fit of each individual; of a group, whose animals are alike, one for all."""
+    return [
+        replace(one, name=name) for name, one in zip(demos.kinds, fit.individuals, strict=False)
+    ]
+
+
 def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     """Return warnings of what makes the fit doubtful, in sentences.
 
@@ -295,7 +302,7 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     """
     seen = demos if fit.fitted_on == "all" else demos.select(split=fit.fitted_on)
     found = []
-    for i, one in enumerate(fit.individuals):
+    for i, one in enumerate(fits_by_kind(fit, demos)):
         if one.terminal_speed > TOO_FAST * one.top_speed:
             found.append(
                 f"{one.name}: with its thrust held it would reach {one.terminal_speed:.3g} arena "

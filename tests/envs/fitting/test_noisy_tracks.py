@@ -89,7 +89,8 @@ def test_persistence_is_one_of_steady_motion_and_minus_one_half_of_noise() -> No
     noise = np.random.default_rng(0).normal(0.0, 0.01, (2001, 2))
     still = np.zeros((2001, 2))
     demos = replace(
-        recorded_pairs(), individuals=("steady", "noisy", "still"), roles=("pursuer",) * 3,
+        recorded_pairs(), individuals=("steady", "noisy", "still"),
+        roles=("pursuer", "pursuer", "target"),
         positions=np.stack([steady, noise, still], axis=1), lengths=np.array([2001]),
         initial_velocity=np.zeros((1, 3, 2)), condition=np.zeros(1), outcome=[TIME_OUT],
         split=np.array(["test"]), recording=np.array(["r"]),

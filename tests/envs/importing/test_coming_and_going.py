@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import animarl
 
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
@@ -99,6 +100,19 @@ def test_a_group_that_is_never_there_for_long_is_refused(tmp_path: Path) -> None
     recipe = default_recipe(get_reader("long-table"), frame_rate=10.0)
     with pytest.raises(InputError, match="no three animals are there throughout"):
         follow(recipe, [path])
+
+
+def test_of_a_group_one_animal_is_described_for_all(tmp_path: Path) -> None:
+    """What is printed does not grow with the group: its animals are alike."""
+    rng, file = np.random.default_rng(0), tmp_path / "pond.csv"
+    paths = np.cumsum(np.cumsum(rng.normal(0.0, 0.01, (120, 40, 2)), axis=0), axis=0)
+    rows = [f"{w},{f},{x},{y}" for f in range(120) for w, (x, y) in enumerate(paths[f].tolist())]
+    file.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
+    demos_file = tmp_path / "pond.npz"
+    said = animarl("import", file, "--fps", 10, "--target", "none", "--out", demos_file)
+    assert "40 that are alike, 0 to 39" in said and said.count("speed of") == 1
+    said = animarl("fit", demos_file, "--bootstrap", 0)
+    assert said.count("each of 40") >= 1 and len(said.splitlines()) < 20
 
 
 @pytest.mark.parametrize(
