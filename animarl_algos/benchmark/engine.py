@@ -209,38 +209,6 @@ class RayWorkers(Workers):
         promise: Future[Done] = self._task.remote(piece, out.resolve(), versions()).future()
         return promise
 
-    def refuse_other_nodes(self, out: Path) -> None:
-        """Ask every node of the cluster.
-
-        Raises
-        ------
-        InputError
-            If one does not see the marked folder ``out``, or has other versions.
-        """
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy as Only
-
-        asked = self._ray.remote(num_cpus=0)(_unfit)
-        answers = [
-            asked.options(scheduling_strategy=Only(node["NodeID"], soft=False)).remote(
-                out.resolve(), versions()
-            )
-            for node in self._ray.nodes()
-            if node["Alive"] and node["Resources"].get("CPU")
-        ]
-        if not answers:
-            raise InputError(
-                "the Ray cluster has no node with a processor: add one with 'ray start'"
-            )
-        try:
-            unfit = [said for said in self._ray.get(answers) if said]
-        except self.lost as error:
-            raise InputError(
-                "a node of the Ray cluster cannot run animarl "
-                f"({_last_line(str(error))}): install it on all nodes"
-            ) from error
-        if unfit:
-            raise InputError(unfit[0])
-
 
 def _attempt_there(piece: Piece, out: Path, wanted: dict[str, str]) -> Done:
     """On a node."""

@@ -1,4 +1,4 @@
-"""The leaderboard as Markdown, CSV, JSON and a page; what it cost stands in files of its own.
+"""The leaderboard as Markdown, CSV and JSON; what it cost stands in files of its own.
 
 The same matrix, version and seeds give the same bytes of ``leaderboard.*``, however many processes
 made them and however often they were killed; ``costs.*`` hold what differs from time to time.
@@ -7,7 +7,6 @@ made them and however often they were killed; ``costs.*`` hold what differs from
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,29 +15,8 @@ import pandas as pd
 
 from animarl_algos.benchmark.matrix import Plan
 from animarl_algos.benchmark.pieces import Cell, Clone, Scoring, code, write_json
-from animarl_algos.benchmark.scores import (
-    ENERGY,
-    REALISM,
-    Score,
-    differences,
-    labels,
-    ranked,
-)
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.report.figures import interval_rows
-from animarl_algos.report.page import (
-    Block,
-    Gallery,
-    Page,
-    Pairs,
-    Section,
-    Sentences,
-    tabulate,
-    write_page,
-)
-from animarl_algos.report.provenance import flattened
-from animarl_algos.report.style import Image, to_image
+from animarl_algos.benchmark.scores import ENERGY, Score, differences, labels, ranked
+from animarl_algos.evaluation.verdict_rows import OUTCOMES
 from animarl_algos.report.words import NOTHING
 from animarl_algos.runs.run_files import machine
 from animarl_envs.files import write_then_rename
@@ -46,20 +24,13 @@ from animarl_envs.files import write_then_rename
 HOW = """\
 Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds,
 of the AUC over demonstrations alone. With several seeds the others are of training runs like these,
-with one of this network only. **Bold**: no larger than its null, so chance alone gives as much (for
-both AUC: recordings among themselves, and at least one half; for realism, energy scores and DTW:
-other recordings of the same condition). Outcome, duration, path length and speed are differences to
-the recordings; realism is higher the better, and lower is better everywhere else. Ranks go by the
-energy score of duration, path length and speed together, as far as paired intervals tell two
-methods apart; recordings and tracking know where the recordings go and are not ranked. Parameters
-and processor time stand in `costs.md`.
+with one of this network only. **Bold**: the verdict finds no difference in it; of realism, energy
+score and DTW, as good as those of other recordings of the same condition. Outcome, duration, path
+length and speed are differences to the recordings; realism is higher the better, and lower is
+better everywhere else. Ranks go by the energy score of duration, path length and speed together, as
+far as paired intervals tell two methods apart; recordings and tracking know where the recordings go
+and are not ranked. Parameters and processor time stand in `costs.md`.
 """
-CAPTION = (
-    "Dots with 95 % intervals over demonstrations and seeds, of the AUC over demonstrations alone. "
-    "Grey bars, of differences to the recordings: what chance alone gives in 95 % of cases. "
-    "Dashed: no difference; for the AUC what recordings reach among themselves, for energy scores "
-    "and DTW what other recordings of the same condition come to."
-)
 
 
 class Board:
@@ -84,11 +55,6 @@ class Board:
             table = one.measures.reset_index().astype(object)
             yield head | {"measures": table.where(table.notna(), None).to_dict("records")}
 
-    def headings(self) -> dict[str, str]:
-        """Return the measures that these animals have, with their units, by key."""
-        units = max(self.scores, key=lambda one: one.rollouts).measures["unit"]
-        return {k: name + _bracketed(units[k]) for k, name in labels().items() if k in units.index}
-
     def markdown(self) -> str:
         """Return a section: what a simulator is judged by, its differences, its closeness."""
 
@@ -101,14 +67,18 @@ class Board:
             f"\n## {self.name}\n\n{self.starts}, of {kind or 'recordings'}; beside each method "
             "seeds × rollouts.\n"
         )
-        headings = self.headings()
-        names, compared = list(headings), {"outcomes", *(metric.key for metric in differences())}
+        units = {key: unit for one in self.scores for key, unit in one.measures["unit"].items()}
+        headings = {k: name + _bracketed(units[k]) for k, name in labels().items() if k in units}
+        names, compared = list(headings), {OUTCOMES, *(metric.key for metric in differences())}
         first = next(i for i, key in enumerate(names) if key in compared)
         last = first + len(compared.intersection(names))
         for keys in (names[:first], names[first:last], names[last:]):
             lines = [["method", *(headings[key] for key in keys)], ["---"] * (1 + len(keys))]
             for one in sorted(self.scores, key=place):
-                lines.append([one.method, *(_marked(one.of(key)) for key in keys)])
+                known = one.measures.index
+                lines.append(
+                    [one.method, *(_marked(one.of(k)) if k in known else NOTHING for k in keys)]
+                )
                 if keys[0] == names[0]:
                     each = f" ({len(one.seeds)} × {one.rollouts // len(one.seeds)})"
                     lines[-1][:1] = [self.ranks.get(one.method, NOTHING), one.method + each]
@@ -118,51 +88,9 @@ class Board:
             text += f"\n{_markdown_table(lines)}\n"
         return text
 
-    def blocks(self) -> Iterator[Block]:
-        """Yield plots of the main measures and a table of all."""
-        there, own = self.headings(), [metric.key for metric in differences()]
-        drawn = [REALISM, AUC, SEQUENCE, ENERGY, *own, "dtw_per_step", "dtw_first_second"]
-        pictures = (self._picture(key, key in own) for key in drawn if key in there)
-        yield Gallery([one for one in pictures if one], CAPTION)
-
-        def value(key: str) -> Any:
-            return lambda one: _number(one.of(key).value) or NOTHING
-
-        yield tabulate(
-            "All measures",
-            {
-                "Method": lambda one: one.method,
-                "Rank": lambda one: self.ranks.get(one.method, NOTHING),
-                **{h.replace(" (", "\n("): value(key) for key, h in there.items()},
-            },
-            [("", self.scores)],
-            "Estimates; intervals and nulls of every one are in leaderboard.csv. Endings to path "
-            "length are distances and differences to the recordings.",
-        )
-
-    def _picture(self, key: str, is_difference: bool) -> Image | None:
-        """One measure of all methods that have it."""
-        rows = {one.method: one.of(key) for one in self.scores}
-        found = {name: row for name, row in rows.items() if math.isfinite(row.value)}
-        if not found:
-            return None
-        label, unit = labels()[key], next(iter(found.values())).unit
-        nulls = [row.null for row in found.values() if math.isfinite(row.null)]
-        reference = sum(nulls) / len(nulls) if nulls else math.nan
-        figure = interval_rows(
-            {name: Interval(row.value, row.low, row.high) for name, row in found.items()},
-            unit or label,
-            title=label,
-            reference=0.0 if is_difference else reference,
-            bands={name: Interval(0.0, -row.null, row.null) for name, row in found.items()}
-            if is_difference
-            else None,
-        )
-        return to_image(figure, f"{label} of every method, with intervals")
-
 
 def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
-    """Write ``leaderboard.{md,csv,json,html}`` and ``costs.{md,csv}`` of what is finished.
+    """Write ``leaderboard.{md,csv,json}`` and ``costs.{md,csv}`` of what is finished.
 
     ``command`` made it, and stands with the machine in ``costs.md``.
     """
@@ -198,36 +126,8 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
         text += f"\n## Not there\n\n{listed}\n"
     with write_then_rename(out / "leaderboard.md") as part:
         part.write_text(f"# Leaderboard\n\n{HOW}{text}", encoding="utf-8")
-    write_page(_page(boards, missing), out / "leaderboard.html")
     _write_costs(plan, out, command)
     return out / "leaderboard.md"
-
-
-def _page(boards: Sequence[Board], missing: dict[str, str]) -> Page:
-    """The page; the same scores give the same bytes."""
-    listed = tabulate(
-        "Rows that are not there",
-        {"Row": lambda one: one[0], "Why": lambda one: one[1]},
-        [("", missing.items())],
-        "",
-    )
-    plain = HOW.replace("**Bold**", "Bold, in leaderboard.md").replace("`", "").strip()
-    reading = re.split(r"(?<=[.])\s", plain)
-    return Page(
-        title="Leaderboard",
-        kind="Every method, every set of demonstrations, every seed",
-        synthetic=bool(boards) and all(board.synthetic for board in boards),
-        facts=[
-            (board.name, board.starts + (", synthetic" if board.synthetic else ""))
-            for board in boards
-        ],
-        sections=[
-            Section("reading", "How to read it", [Sentences(reading)]),
-            *(Section(board.name, board.name, list(board.blocks())) for board in boards),
-            Section("missing", "Not there", [listed] if missing else []),
-            Section("versions", "Versions", [Pairs("Versions", flattened(code()))]),
-        ],
-    )
 
 
 def measure_rows(scored: Score) -> Iterator[tuple[str, str, str, str]]:

@@ -19,19 +19,9 @@ from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.distances import (
-    FEW_ROLLOUTS,
-    bootstrap_distances,
-    energy_score,
-    pooled_score,
-)
-from animarl_algos.evaluation.exchange_test import Exchanges
-from animarl_algos.evaluation.metrics import (
-    ARENA_UNITS,
-    METRICS,
-    Metric,
-    dtw_alignments,
-)
+from animarl_algos.evaluation.comparison import interval
+from animarl_algos.evaluation.distances import FEW_ROLLOUTS, energy_cells, pooled_score
+from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Episodes, Metric
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -45,17 +35,15 @@ from animarl_algos.evaluation.statistics import (
     single_cells,
 )
 from animarl_algos.evaluation.verdict import SUMMARY, verdict
+from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
 from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
-from animarl_envs.dtw import dtw_alignment
-from animarl_envs.species import SPECIES
 
 Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
 REALISM, ENERGY = "realism", "energy"
-DISTRIBUTIONS = ("duration", "path_length")
 UNRANKED = ("recordings", "tracking")
 """References that were told where the recordings go."""
 ROUNDING = 1e-9
@@ -74,15 +62,9 @@ def labels() -> dict[str, str]:
         AUC: "classifier AUC",
         SEQUENCE: "AUC of order in time",
         ENERGY: "energy score",
-        "energy_duration": "energy score of duration",
-        "energy_path_length": "energy score of path length",
-        "energy_mean_speed": "energy score of speed",
-        "outcomes": "endings (chi-squared)",
+        OUTCOMES: "endings (chi-squared)",
         **{one.key: one.label[:1].lower() + one.label[1:] for one in differences()},
-        "dtw_per_step": "DTW per step",
-        "dtw_first_second": "DTW per step, first second",
-        "kde_duration": "KDE distance of durations",
-        "kde_path_length": "KDE distance of path lengths",
+        DTW_PER_STEP.key: "DTW per step",
     }
 
 
@@ -95,11 +77,10 @@ class Score:
     covers, words
         What intervals speak of, and the verdict.
     measures
-        One row per measure: ``unit``, ``value`` with its interval ``low`` to ``high`` over
-        demonstrations and seeds, and the ``reason`` why there is none. ``null`` is what chance
-        alone stays below in 95 % of cases (``p``), or what recordings of other starts come to.
-        ``inside``: it is no larger than its null (realism: no smaller); an AUC of one half always
-        is. NaN is what is not defined.
+        One row per measure: ``unit``, ``value`` with its interval ``low`` to ``high``, and the
+        ``reason`` why there is none. Differences, endings and areas are those of the rows of the
+        verdict, with their ``null`` and ``p``; ``inside`` says that such a row finds nothing, of
+        other measures that they are as good as the ``null``: recordings of other starts.
     energies
         ``(seeds, starts)``: the joint energy score, NaN for none.
     """
@@ -175,74 +156,50 @@ def _score(
     resamples: int,
 ) -> Score:
     """Against the recordings ``test``; ``beside``: others, each as if it began at a test start."""
-    rng_verdict, rng_draws, rng_null, rng_kde = np.random.default_rng(SEED).spawn(4)
+    rng_verdict, rng_draws = np.random.default_rng(SEED).spawn(2)
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared(test, comparison_smoothing(test))
     counted = censored(factual(rollouts, test), test)
     simulated, recorded = (
         prepared.measures(side) for side in (prepared.filtered(counted), prepared.recorded)
     )
-    draws = Draws.by(rng_draws, resamples)
-    starts, number = np.arange(len(test)), len(test)
+    draws, number = Draws.by(rng_draws, resamples), len(test)
     rows: dict[str, dict[str, Any]] = {}
 
     def put(
-        key: str, value: Interval, null: float, *, unit: str = "", p: float = math.nan, of: str = ""
+        key: str, value: Interval, null: float, inside: bool, unit: str = "", p: float = math.nan
     ) -> None:
-        inside = abs(value.estimate) <= (max(null, 0.5) if key in (AUC, SEQUENCE) else null)
         rows[key] = {
             "measure": key, "unit": unit, "value": value.estimate, "low": value.low,
-            "high": value.high, "null": null, "p": p, "reason": of or value.reason,
-            "inside": bool(value.estimate >= null if key == REALISM else inside),
+            "high": value.high, "null": null, "p": p, "reason": value.reason, "inside": inside,
         }  # fmt: skip
 
-    put(REALISM, found.realism, found.realism_beside.get(OTHERS, math.nan))
-    for judge, own in ((AUC, found.auc), (SEQUENCE, found.sequence)):
-        among = found.areas[judge]["among"]
-        # Over all folds each recording stands on one side itself and on the other as another's: a
-        # classifier would learn to call it by the side on which it met it.
-        same = others is None and rollouts.method == RECORDINGS
-        put(judge, among if same else own, among.high)
-    energies = {}
-    for name, keys in {ENERGY: SUMMARY, **{f"energy_{key}": (key,) for key in SUMMARY}}.items():
-        spread = [float(np.std(recorded[k])) or 1.0 for k in keys]
-        drawn, true = (
-            np.stack([side[k] / s for k, s in zip(keys, spread)], axis=1)
-            for side in (simulated, recorded)
-        )
-        energies[name] = start_energies(drawn, counted.seed, counted.demo, true)
-        mean = Interval(math.nan, reason=FEW_ROLLOUTS)
-        if np.isfinite(energies[name]).any():
-            mean = bootstrap_mean(single_cells(energies[name]), draws)
-        put(name, mean, pooled_score(true), unit="recorded SD")
-    if "outcomes" in set(found.table["measure"]):  # something may end
-        row = found.row("outcomes")
-        ends = Interval(row["distance"], reason="a test: no interval")
-        put("outcomes", ends, row["null"], p=row["p"])
-    for key, measured in (("dtw_per_step", dtw_per_step), ("dtw_first_second", first_second)):
-        data = cells(measured(counted, test), counted.seed, counted.demo, number)
-        other = float(np.nanmean(measured(beside, test)))
-        put(key, bootstrap_mean(data, draws), other, unit="arena unit")
-    exchanges = Exchanges.draw(counted.demo, number, rng_null, resamples, copies=counted.copies)
-    for metric in differences():
-        if metric.key not in simulated:
-            continue
-        many, one = simulated[metric.key], recorded[metric.key]
-        gap = bootstrap_difference(
-            cells(many, counted.seed, counted.demo, number),
-            cells(one, np.full(number, -1), starts, number),
-            draws,
-            share=metric.share,
-        )
-        tested = exchanges.difference(np.concatenate([one, many]))
-        unit = metric.unit.replace(ARENA_UNITS, prepared.unit.name)
-        put(metric.key, gap, tested.null, unit=unit, p=tested.p)
-    for key in DISTRIBUTIONS:
-        kde, _ = bootstrap_distances(
-            simulated[key], recorded[key], counted.seed, counted.demo, rng_kde, resamples
-        )
-        (null, p), _ = exchanges.distances(np.concatenate([recorded[key], simulated[key]]))
-        put(f"kde_{key}", kde, null.high, p=p)
+    for _, row in found.table.iterrows():
+        value, null, same = interval(row, "difference"), row["null"], row["judgement"] == SAME
+        if row["measure"] == OUTCOMES:
+            value = Interval(row["distance"], reason="a test: no interval")
+        elif row["measure"] in (AUC, SEQUENCE):
+            among = found.areas[row["measure"]]["among"]
+            value, null = found.auc if row["measure"] == AUC else found.sequence, among.high
+            # Over all folds each recording stands on one side itself and on the other as another's:
+            # a classifier would learn to call it by the side on which it met it.
+            if others is None and rollouts.method == RECORDINGS:
+                value, same = among, True
+        put(row["measure"], value, null, bool(same), row["unit"], row["p"])
+    others_score = found.realism_beside.get(OTHERS, math.nan)
+    put(REALISM, found.realism, others_score, found.realism.estimate >= others_score)
+    drawn, true = (
+        np.stack([side[k] / (float(np.std(recorded[k])) or 1.0) for k in SUMMARY], axis=1)
+        for side in (simulated, recorded)
+    )
+    energies = energy_cells(drawn, counted.seed, counted.demo, true).cell_means
+    energy, pooled = Interval(math.nan, reason=FEW_ROLLOUTS), pooled_score(true)
+    if np.isfinite(energies).any():
+        energy = bootstrap_mean(single_cells(energies), draws)
+    put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
+    own, other = (DTW_PER_STEP.measure(Episodes(side, test)) for side in (counted, beside))
+    dtw, null = bootstrap_mean(cells(own, counted.seed, counted.demo, number), draws), other.mean()
+    put(DTW_PER_STEP.key, dtw, float(null), dtw.estimate <= null, DTW_PER_STEP.unit)
     return Score(
         method=rollouts.method,
         seeds=tuple(np.unique(counted.seed).tolist()),
@@ -251,47 +208,8 @@ def _score(
         covers=covers(cells(simulated["duration"], counted.seed, counted.demo, number)),
         words=found.overall,
         measures=pd.DataFrame([rows[key] for key in labels() if key in rows]).set_index("measure"),
-        energies=energies[ENERGY],
+        energies=energies,
     )
-
-
-def start_energies(drawn: Floats, seed: Any, demo: Any, true: Floats) -> Floats:
-    """Return the energy score ``(seeds, starts)``; NaN below two rollouts.
-
-    Values ``drawn`` are ``(rollouts, d)``, with the seed and the start of each; the true ones are
-    ``(starts, d)``.
-    """
-    seeds = np.unique(seed)
-    found = np.full((len(seeds), len(true)), math.nan)
-    for row, one in enumerate(seeds):
-        for start in np.unique(demo[seed == one]):
-            found[row, start] = energy_score(drawn[(seed == one) & (demo == start)], true[start])
-    return found
-
-
-def dtw_per_step(rollouts: Rollouts, demos: Demonstrations) -> Floats:
-    """Return the mean DTW distance of aligned frames, ``(rollouts,)`` [arena unit].
-
-    Mean over those who move by themselves.
-    """
-    distance, pairs = dtw_alignments(rollouts, demos)
-    return np.asarray((distance / pairs)[:, rollouts.movers].mean(axis=1))
-
-
-def first_second(rollouts: Rollouts, demos: Demonstrations) -> Floats:
-    """Return the same of the first second after the warm-up; NaN where either is over before."""
-    spec = SPECIES.get(demos.species)
-    warmup = spec.warmup if spec is not None else 0
-    last = warmup + 1 + max(1, round(1 / rollouts.dt))
-    found = np.full(len(rollouts), math.nan)
-    for i, demo in enumerate(rollouts.demo.tolist()):
-        start = demos.offsets[demo]
-        recorded = demos.positions[start : demos.offsets[demo + 1]][warmup:last]
-        path = rollouts.path(i)[warmup:last]
-        if len(path) and len(recorded):
-            each = [dtw_alignment(path[:, k], recorded[:, k]) for k in rollouts.movers]
-            found[i] = np.mean([distance / pairs for distance, pairs in each])
-    return found
 
 
 def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:

@@ -111,8 +111,6 @@ def benchmark_command(
     watch = Shown(asked, out, console)
     with RayWorkers(address) if engine == "ray" else Workers(processes) as workers:
         claim_folder(out)
-        if isinstance(workers, RayWorkers):
-            workers.refuse_other_nodes(out)
         with watch.progress:
             perform_all(asked.pieces, out, workers, watch)
     for name, error in watch.causes():

@@ -264,7 +264,7 @@ def energy_cells(
 ) -> Cells:
     """The score of every training seed at every start; NaN values do not count."""
     drawn, of, start = np.asarray(simulated, np.float64), np.asarray(seed), np.asarray(demo)
-    seeds, known = np.unique(of), np.isfinite(drawn)
+    seeds, known = np.unique(of), np.isfinite(drawn).reshape(len(drawn), -1).all(axis=1)
     rows = [(drawn[chosen], start[chosen]) for chosen in ((of == one) & known for one in seeds)]
     return single_cells(np.array([energy_scores(*row, recorded) for row in rows]))
 

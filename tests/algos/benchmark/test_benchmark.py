@@ -31,7 +31,7 @@ from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
-BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json", "leaderboard.html")
+BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json")
 TINY: dict[str, Any] = {
     "species": ["agent"],
     "recipes": ["soft-bc"],
@@ -106,12 +106,12 @@ def test_benchmark_holds_every_row_with_nulls_and_intervals(finished: Path) -> N
     assert "training runs" in rows["soft-bc"]["covers"]
     measures = {one["measure"]: one for one in rows["soft-bc"]["measures"]}
     assert list(measures)[:4] == ["realism", "auc", "auc_sequence", "energy"]
-    for key in ("energy", "duration", "dtw_per_step", "kde_duration"):
+    for key in ("energy", "duration", "dtw_per_step"):
         one = measures[key]
-        assert one["low"] <= one["value"] <= one["high"] or key.startswith("kde"), key
+        assert one["low"] <= one["value"] <= one["high"], key
         assert one["null"] is not None, key
     path = {one["measure"]: one for one in rows["still"]["measures"]}["path_length"]
-    assert path["high"] < 0 and not path["inside"]  # who stands still goes nowhere
+    assert path["high"] < 0  # who stands still goes nowhere; four starts are too few to bear it out
     assert rows["recordings"]["rank"] == "" and rows["soft-bc"]["rank"]
     costs = (finished / "costs.csv").read_text()
     assert "processor_seconds" in costs
@@ -205,7 +205,7 @@ def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
     assert [one["row"] for one in content["missing"]] == [f"agent/{name}" for name in methods]
     text = (out / "leaderboard.md").read_text()
     assert "## Not there" in text and "\n## fly2" not in text
-    assert "its factory raised ValueError" in (out / "leaderboard.html").read_text()
+    assert "its factory raised ValueError" in text
 
 
 def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:

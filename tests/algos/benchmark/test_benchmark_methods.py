@@ -33,7 +33,7 @@ from animarl_algos.benchmark.methods import (
     source_of,
 )
 from animarl_algos.benchmark.pieces import attempt
-from animarl_algos.benchmark.scores import Score, first_second, ranked, start_energies
+from animarl_algos.benchmark.scores import Score, ranked
 from animarl_algos.evaluation.collect import RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.run import Run
@@ -294,25 +294,6 @@ def test_benchmark_nearest_segment_is_looked_up_and_followed() -> None:
 
 
 # -- measures -------------------------------------------------------------------------------------
-
-
-def test_benchmark_energy_of_a_start_is_that_of_its_rollouts() -> None:
-    drawn, true = np.array([[0.0], [2.0], [5.0], [7.0]]), np.array([[1.0], [4.0]])
-    found = start_energies(drawn, np.array([3, 3, 3, 4]), np.array([0, 0, 1, 1]), true)
-    assert found[0, 0] == pytest.approx(1.0 - 1.0)  # E|X - y| = 1, E|X - X'| / 2 = 1
-    assert np.isnan(found[0, 1]) and np.isnan(found[1]).all()  # a single rollout has no spread
-
-
-def test_benchmark_first_second_is_zero_for_the_recordings() -> None:
-    test = load_packaged("agent").select(split="test")
-    recorded = Rollouts.from_demonstrations(test)
-    assert (first_second(recorded, test) == 0).all()
-    moved = Rollouts.from_demonstrations(test)
-    positions = moved.positions.copy()
-    ages = np.concatenate([np.arange(n) for n in moved.lengths])
-    positions[ages > 10] += 1.0  # later than a second
-    later = type(moved)(**{**vars(moved), "positions": positions})
-    assert (first_second(later, test) == 0).all()
 
 
 def test_benchmark_score_survives_json() -> None:

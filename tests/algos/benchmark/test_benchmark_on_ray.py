@@ -86,7 +86,6 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
     killing = threading.Thread(target=lose_a_worker, daemon=True)
     killing.start()
     with RayWorkers(cluster.address) as workers:
-        workers.refuse_other_nodes(out)
         perform_all(asked.pieces, out, workers, told)
     killing.join(60)
     write_leaderboard(asked, out)
@@ -116,7 +115,6 @@ def test_where_no_cluster_runs_ray_starts_one(
     asked, told = plan(tiny()), Told()
     claim_folder(tmp_path)
     with RayWorkers() as workers:
-        workers.refuse_other_nodes(tmp_path)
         perform_all(asked.pieces, tmp_path, workers, told)
     assert not told.errors and all(cell.finished(tmp_path) for cell in asked.cells)
     assert not ray.is_initialized()
