@@ -126,9 +126,11 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         world, agents = self.world, self.agents
         self._take(actions)
         warming = world.warming.item()
-        executed = self.world.executed(self._actions)[0].tolist()
+        executed = world.executed(self._actions)[0] if warming else self._actions[0]
+        executed = executed.tolist()
         world.step(self._actions)
-        cut_after(world, self.max_cycles)
+        if self.max_cycles is not None:
+            cut_after(world, self.max_cycles)
         self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
@@ -139,7 +141,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
             self.agents = []
         return (
             observations,
-            dict(zip(agents, reward, strict=True)),
+            dict(zip(agents, reward)),
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, truncated),
             infos,
@@ -147,7 +149,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
 
     def _take(self, actions: dict[str, int]) -> None:
         """Check the actions and write them down in order."""
-        choose = f"choose 0 to {self.world.num_actions - 1}"
+        count = self.world.num_actions
         if not isinstance(actions, Mapping):
             raise InputError(
                 f"actions are {actions!r}: give one to each of {', '.join(self.agents)}"
@@ -157,18 +159,23 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
             raise InputError(
                 f"there is an action for {stranger!r}: choose among {', '.join(self.agents)}"
             )
-        for i, agent in enumerate(self.possible_agents):
+        chosen = []
+        for agent in self.possible_agents:
             try:
                 action = index(actions[agent])
             except KeyError:
                 raise InputError(f"there is no action for {agent}: give one to each") from None
             except TypeError:
                 raise InputError(
-                    f"action {actions[agent]!r} of {agent} is no whole number: {choose}"
+                    f"action {actions[agent]!r} of {agent} is no whole number: choose 0 to "
+                    f"{count - 1}"
                 ) from None
-            if not 0 <= action < self.world.num_actions:
-                raise InputError(f"action {action} of {agent} is out of range: {choose}")
-            self._actions[0, i] = action
+            if not 0 <= action < count:
+                raise InputError(
+                    f"action {action} of {agent} is out of range: choose 0 to {count - 1}"
+                )
+            chosen.append(action)
+        self._actions[0] = chosen
 
     def state(self) -> NDArray[np.float32]:
         """Positions and velocities of all, flat, arena frame: ``(4 K,)``."""
@@ -176,13 +183,13 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         return both.astype(np.float32).ravel()
 
     def _observations(self) -> Observations:
-        seen = self.world.observation
-        return {agent: seen[0, i].copy() for i, agent in enumerate(self.agents)}
+        return dict(zip(self.agents, self.world.observation[0].copy()))  # a row each
 
     def _infos(self, executed: list[int], warming: bool) -> dict[str, dict[str, Any]]:
-        shared = self._shared_info(warming)
-        names, parts = self.world.reward_components, self.world.components[0].tolist()
-        return {
-            agent: shared | dict(zip(names, own, strict=True)) | {"executed": action}
-            for agent, own, action in zip(self.agents, parts, executed, strict=True)
-        }
+        shared, names = self._shared_info(warming), self.world.reward_components
+        infos = {}
+        for agent, own, action in zip(self.agents, self.world.components[0].tolist(), executed):
+            infos[agent] = info = shared.copy()
+            info.update(zip(names, own))
+            info["executed"] = action
+        return infos

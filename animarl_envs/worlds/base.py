@@ -91,6 +91,7 @@ class World(ABC):
             raise InputError(f"num_copies is {num_copies}: it must be at least 1")
         self.scenario, self.num_copies = scenario, num_copies
         species, demos = scenario.species, scenario.demos
+        self.num_individuals, self.num_actions = species.num_individuals, species.num_actions
         B, K = num_copies, species.num_individuals
         empty = np.zeros((0, K, 2))
         self._demos = FlatDemos(empty, empty, np.zeros(1, np.int64), np.zeros(0, np.int8))
@@ -174,14 +175,6 @@ class World(ABC):
             "step_count": self.step_count,
             "warming": self.warming,
         }
-
-    @property
-    def num_individuals(self) -> int:
-        return self.scenario.species.num_individuals
-
-    @property
-    def num_actions(self) -> int:
-        return self.scenario.species.num_actions
 
     @property
     def demos(self) -> Demonstrations | None:
