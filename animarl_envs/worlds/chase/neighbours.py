@@ -37,8 +37,8 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
     K, B = species.num_individuals, num_copies
     if species.free:
         seen = species.num_seen
-        order = np.zeros((1, 1, seen), dtype=np.int16)
-        state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((1, seen))
+        order = np.zeros((1, LINE, seen), dtype=np.int16)
+        state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((LINE, seen))
         return Neighbours(np.zeros((max(1, seen), WHO + 1, B)), order, state, distance)
     others = np.zeros((K - 1, WHO + 1, B))
     if K - 1 <= FEW:
@@ -120,30 +120,40 @@ def look(i, position, velocity, order, neighbours):  # type: ignore[no-untyped-d
 def look_around(i, order, neighbours):  # type: ignore[no-untyped-def]
     """Fill ``neighbours.others`` with the nearest of all others, in order; how many these are."""
     others, state = neighbours.others, neighbours.state
-    best, who = neighbours.distance[0], order[0, 0]
-    most = len(who)
-    for b in range(state.shape[0]):
-        count = 0
-        for j in range(state.shape[2]):
-            dx, dy = state[b, 0, j] - state[b, 0, i], state[b, 1, j] - state[b, 1, i]
-            apart = dx * dx + dy * dy
-            if j == i or (count == most and not apart < best[most - 1]):
-                continue
-            at = min(count, most - 1)
-            while at > 0 and best[at - 1] > apart:
-                best[at] = best[at - 1]
-                who[at] = who[at - 1]
-                at -= 1
-            best[at] = apart
-            who[at] = j
-            count = min(count + 1, most)
+    best, who, B = neighbours.distance, order[0], state.shape[0]
+    most = who.shape[1]
+    for begin in range(0, B, LINE):  # each line of ``others`` is written at once
+        end = min(B, begin + LINE)
+        for b in range(begin, end):
+            _select(i, state[b], best[b - begin], who[b - begin])
         for rank in range(most):
-            j = who[rank]
             for row in range(4):  # place, then velocity
-                others[rank, row, b] = state[b, row, j] - state[b, row, i]
-            others[rank, APART, b] = math.sqrt(best[rank])
-            others[rank, WHO, b] = j
+                for b in range(begin, end):
+                    j = who[b - begin, rank]
+                    others[rank, row, b] = state[b, row, j] - state[b, row, i]
+            for b in range(begin, end):
+                others[rank, APART, b] = math.sqrt(best[b - begin, rank])
+                others[rank, WHO, b] = who[b - begin, rank]
     return most
+
+
+@part
+def _select(i, state, best, who):  # type: ignore[no-untyped-def]
+    """Put the nearest others of ``i`` in one copy, in order, into ``who`` and ``best``, squared."""
+    most, count = len(who), 0
+    for j in range(state.shape[1]):
+        dx, dy = state[0, j] - state[0, i], state[1, j] - state[1, i]
+        apart = dx * dx + dy * dy
+        if j == i or (count == most and not apart < best[most - 1]):
+            continue
+        at = min(count, most - 1)
+        while at > 0 and best[at - 1] > apart:
+            best[at] = best[at - 1]
+            who[at] = who[at - 1]
+            at -= 1
+        best[at] = apart
+        who[at] = j
+        count = min(count + 1, most)
 
 
 @part
