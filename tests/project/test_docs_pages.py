@@ -2,7 +2,6 @@
 
 import ast
 import importlib
-import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -59,16 +58,6 @@ def test_defaults_of_the_page_make_the_same_world(generator, name):
     assert plain.scenario.species == spelled.scenario.species
     assert plain.scenario.start == spelled.scenario.start
     assert plain.scenario.drivers == spelled.scenario.drivers
-
-
-@pytest.mark.parametrize("name", [*SPECIES, "custom"])
-def test_code_of_the_page_runs(name):
-    text = (DOCS / "environments" / f"{name}.md").read_text()
-    namespace: dict[str, object] = {"__name__": "__main__"}
-    blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    assert blocks
-    for block in blocks:
-        exec(block, namespace)
 
 
 @pytest.mark.parametrize("name", [*SPECIES, "custom"])
