@@ -31,7 +31,7 @@ from rich.console import Console
 
 from animarl_algos.evaluation import counterfactual_runs
 from animarl_algos.evaluation import effects as of
-from animarl_algos.evaluation.comparison import interval
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.words import with_interval
 from animarl_algos.runs import pipeline

@@ -19,9 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_algos.evaluation.collect import MemorylessPolicy, collect_rollouts
-from animarl_algos.evaluation.comparison import comparison_table, interval
+from animarl_algos.evaluation.comparison import comparison_table
 from animarl_algos.evaluation.metrics import dtw_alignments, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting import fit_locomotion

@@ -24,9 +24,10 @@ import typer
 
 from animarl_algos.benchmark.matrix import plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell
-from animarl_algos.evaluation.comparison import comparison_table, interval, pair_table
+from animarl_algos.evaluation.comparison import comparison_table, pair_table
 from animarl_algos.evaluation.metrics import DTW, DURATION, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report import style
 from animarl_algos.report.words import with_interval
 from animarl_algos.runs.run_files import versions

@@ -23,7 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.verdict import Compared, is_green
+from animarl_algos.evaluation.verdict import compared, is_green
 from animarl_envs.demos.demonstrations import Demonstrations
 from benchmarks.known_worlds import FAULTS, KnownWorld, with_fault
 
@@ -40,7 +40,7 @@ def whole_verdict(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> bo
 
 def joint_test(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> bool:
     """Return whether no measure differs, and the endings do not."""
-    return not Compared.of(recorded, rollouts, seed, 1).joint_tests().differs
+    return not compared(recorded, rollouts, seed, 1)[2].differs
 
 
 def green(

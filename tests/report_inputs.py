@@ -16,7 +16,6 @@ from animarl_algos.report.inspection_page import inspection_page
 from animarl_algos.report.run_page import run_page
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.fitting import IndividualFit, LocomotionFit
 from animarl_envs.species import AGENT
 
 HOSTILE = '<script>alert("x")</script> & $\\frac{a}$'
@@ -72,49 +71,6 @@ def make_rollouts(demos: Demonstrations, method: str, flipped: bool = False) -> 
     )
 
 
-def locomotion_fit(individuals: tuple[str, ...]) -> LocomotionFit:
-    """The same figures for each."""
-    return LocomotionFit(
-        method="joint",
-        species="agent",
-        dt=0.1,
-        individuals=tuple(
-            IndividualFit(
-                name=name,
-                damping=0.25,
-                thrust=2.4,
-                damping_interval=(0.24, 0.26),
-                thrust_interval=(2.3, 2.5),
-                velocity_rmse=0.0123,
-                steps=100,
-                top_speed=0.9,
-                terminal_speed=0.96,
-                braking_time=0.3476,
-            )
-            for name in individuals
-        ),
-        fitted_on="train",
-        validated_on="val",
-        episodes=80,
-        validation_episodes=10,
-        onset_threshold=None,
-        bootstrap=100,
-        seed=0,
-        fingerprint="0",
-    )
-
-
-def loss_curves() -> pd.DataFrame:
-    """Of one method, in both phases, for two seeds."""
-    rows = [
-        ("dqdil", phase, seed, step, "loss", 1.0 / (1 + step))
-        for phase in ("offline", "online")
-        for seed in (0, 1)
-        for step in range(5)
-    ]
-    return pd.DataFrame(rows, columns=["method", "phase", "seed", "step", "quantity", "value"])
-
-
 @cache
 def report_inputs() -> ReportInputs:
     """Five methods, one of them asked about the other condition, with all that a report shows."""
@@ -138,8 +94,6 @@ def report_inputs() -> ReportInputs:
             distance_resamples=50,
         ),
         species=AGENT,
-        fit=locomotion_fit(demos.individuals),
-        learning_curves=loss_curves(),
         settings={"algo": "dqdil", "online": {"alpha": 1.0, "prioritised": True}},
         seeds=(0, 1),
         versions={"torch": "2.13.0"},
@@ -226,16 +180,7 @@ def inspected_page() -> str:
             recording=recording,
             rollouts=rollouts,
             decisions=Decisions(
-                individual="predator_0",
-                demo=episode,
-                q=rng.normal(size=(steps, 13)),
-                actions=rng.integers(13, size=steps),
-                moment=steps // 2,
-                x=np.linspace(-1, 1, 9),
-                y=np.linspace(-1, 1, 9),
-                map_q=rng.normal(size=(9, 9, 13)),
-                focus=rng.normal(size=(9, 9, 2)),
-                others=np.array([(0.3, 0.2), (-0.4, 0.1)]),
+                "predator_0", episode, rng.normal(size=(steps, 13)), rng.integers(13, size=steps)
             ),
             metrics=pd.concat([measure(r, demos) for r in everything.values()], ignore_index=True),
             world={"arena": "square"},

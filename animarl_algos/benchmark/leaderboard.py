@@ -16,8 +16,9 @@ import pandas as pd
 from animarl_algos.benchmark.matrix import Plan
 from animarl_algos.benchmark.pieces import Cell, Clone, Scoring, code, write_json
 from animarl_algos.benchmark.scores import ENERGY, Score, differences, labels, ranked
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict_rows import OUTCOMES
-from animarl_algos.report.words import NOTHING
+from animarl_algos.report.words import NOTHING, number, with_interval
 from animarl_algos.runs.run_files import machine
 from animarl_envs.files import write_then_rename
 
@@ -67,24 +68,28 @@ class Board:
             f"\n## {self.name}\n\n{self.starts}, of {kind or 'recordings'}; beside each method "
             "seeds × rollouts.\n"
         )
-        units = {key: unit for one in self.scores for key, unit in one.measures["unit"].items()}
-        headings = {k: name + _bracketed(units[k]) for k, name in labels().items() if k in units}
-        names, compared = list(headings), {OUTCOMES, *(metric.key for metric in differences())}
+        written = {
+            one.method: dict(zip(one.measures.index, measure_rows(one))) for one in self.scores
+        }
+        known = {key: cells[0] for rows in written.values() for key, cells in rows.items()}
+        names = [key for key in labels() if key in known]
+        compared = {OUTCOMES, *(metric.key for metric in differences())}
+
+        def cell(one: Score, key: str) -> str:
+            if key not in written[one.method]:
+                return NOTHING
+            _, value, null, _ = written[one.method][key]
+            marked = f"**{value}**" if one.of(key).inside else value
+            return marked if null == NOTHING else f"{marked}; null {null}"
+
         first = next(i for i, key in enumerate(names) if key in compared)
         last = first + len(compared.intersection(names))
         for keys in (names[:first], names[first:last], names[last:]):
-            lines = [["method", *(headings[key] for key in keys)], ["---"] * (1 + len(keys))]
+            lines = [["rank", "method", *(known[key] for key in keys)], ["---"] * (2 + len(keys))]
             for one in sorted(self.scores, key=place):
-                known = one.measures.index
-                lines.append(
-                    [one.method, *(_marked(one.of(k)) if k in known else NOTHING for k in keys)]
-                )
-                if keys[0] == names[0]:
-                    each = f" ({len(one.seeds)} × {one.rollouts // len(one.seeds)})"
-                    lines[-1][:1] = [self.ranks.get(one.method, NOTHING), one.method + each]
-            if keys[0] == names[0]:
-                lines[0].insert(0, "rank")
-                lines[1].append("---")
+                each = f"{one.method} ({len(one.seeds)} × {one.rollouts // len(one.seeds)})"
+                cells = (cell(one, key) for key in keys)
+                lines.append([self.ranks.get(one.method, NOTHING), each, *cells])
             text += f"\n{_markdown_table(lines)}\n"
         return text
 
@@ -133,27 +138,9 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
 def measure_rows(scored: Score) -> Iterator[tuple[str, str, str, str]]:
     """Yield label, value with interval, null and remark of every measure, as texts."""
     for key, one in scored.measures.iterrows():
-        name = labels()[str(key)] + _bracketed(one.unit)
-        yield name, _shown(one), _number(one.null), one.reason
-
-
-def _shown(one: Any) -> str:
-    """A value with its interval."""
-    ends = f" [{_number(one.low)}, {_number(one.high)}]" if math.isfinite(one.low) else ""
-    return f"{_number(one.value)}{ends}" if math.isfinite(one.value) else NOTHING
-
-
-def _marked(one: Any) -> str:
-    null = f"; null {_number(one.null)}" if math.isfinite(one.null) else ""
-    return (f"**{_shown(one)}**" if one.inside else _shown(one)) + null
-
-
-def _number(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else ""
-
-
-def _bracketed(unit: str) -> str:
-    return f" ({unit})" if unit else ""
+        value = with_interval(Interval(one.value, one.low, one.high))
+        name = labels()[str(key)] + (f" ({one.unit})" if one.unit else "")
+        yield name, value, number(one.null), one.reason
 
 
 def _reason(scoring: Scoring, out: Path) -> str:

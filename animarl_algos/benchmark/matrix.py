@@ -50,13 +50,7 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class Matrix(Checked):
-    """Species times methods times seeds, and how each is trained and rolled out.
-
-    Raises
-    ------
-    InputError
-        If a value is wrong, or does not go with another.
-    """
+    """Species times methods times seeds, and how each is trained and rolled out."""
 
     species: Names = ()
     """Names of packaged species."""
@@ -258,13 +252,7 @@ class Plan:
         )
 
     def only(self, patterns: Sequence[str]) -> Plan:
-        """Return the rows that match a pattern, ``species/method`` or ``species/method/seed``.
-
-        Raises
-        ------
-        InputError
-            If a pattern matches nothing.
-        """
+        """Return the rows that match a pattern, ``species/method`` or ``species/method/seed``."""
         if not patterns:
             return self
         for pattern in patterns:
@@ -345,26 +333,14 @@ def _cells_in(world: World, matrix: Matrix, methods: Mapping[str, str]) -> Itera
 
 
 def claim_folder(out: Path) -> None:
-    """Mark a folder as one of results of this version, or make sure that it is.
-
-    Raises
-    ------
-    InputError
-        As :func:`refuse_other_results` does.
-    """
+    """Mark a folder as one of results of this version, or make sure that it is."""
     refuse_other_results(out)
     if not (out / MARK).exists():
         write_json(out / MARK, _own_mark())
 
 
 def refuse_other_results(out: Path) -> None:
-    """Make sure that results may lie in a folder; nothing is written.
-
-    Raises
-    ------
-    InputError
-        If it holds the results of another version, or something else.
-    """
+    """Refuse a folder that holds the results of another version, or something else."""
     file, own = out / MARK, _own_mark()
     others = out.is_dir() and any(not is_part(inside) for inside in out.iterdir())
     if file.exists():  # asked last: another command may be about to mark it

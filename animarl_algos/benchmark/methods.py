@@ -67,16 +67,8 @@ TERMINATED = 143  # a worker ends with it where it was told to end
 class MethodSetting:
     """What the factory of a method is handed: everything to train on, and no test episode.
 
-    Parameters
-    ----------
-    demos
-        The demonstrations of the splits train and val.
-    species
-        The world's numbers, with the fitted locomotion.
-    seed
-        Of the training.
-    copies, options
-        Of :meth:`environment`.
+    ``demos`` are those of the splits train and val, ``species`` the world's numbers with the fitted
+    locomotion, ``seed`` that of the training, ``copies`` and ``options`` of :meth:`environment`.
     """
 
     demos: Demonstrations
@@ -111,15 +103,8 @@ class MethodSetting:
 class Checked:
     """A method that is asked for actions, every answer checked.
 
-    Parameters
-    ----------
-    name
-        Of the method, for messages.
-    policy
-        With ``predict`` as SB3 has it, or a callable from observations ``(slots, n)`` to actions
-        ``(slots,)``; slot = copy * individuals + individual.
-    num_actions
-        Actions go from 0 to one below it.
+    The ``policy`` has ``predict`` as SB3 has it, or is a callable from observations ``(slots, n)``
+    to actions ``(slots,)`` below ``num_actions``; slot = copy * individuals + individual.
     """
 
     def __init__(self, name: str, policy: Any, num_actions: int) -> None:
@@ -137,13 +122,7 @@ class Checked:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int64], Any]:
-        """Return one action per slot.
-
-        Raises
-        ------
-        InputError
-            If the method raises, or answers anything but one action per slot.
-        """
+        """Return one action per slot; raise InputError where the method does anything else."""
         slots, most = len(observation), self._num_actions - 1
         with foreign(f"method {self._name}: its predict raised", "fix it"):
             if hasattr(self._policy, "predict"):
@@ -173,14 +152,9 @@ def one_line(text: object) -> str:
 
 @contextmanager
 def foreign(said: str, fix: str) -> Iterator[None]:
-    """Whatever somebody else's code raises, or ends the process with, becomes one sentence.
+    """Whatever somebody else's code raises, or ends the process with, becomes an InputError.
 
-    Ctrl-C and a signal to end go through.
-
-    Raises
-    ------
-    InputError
-        ``said``, what was raised, and the ``fix``.
+    It says ``said``, what was raised, and the ``fix``. Ctrl-C and a signal to end go through.
     """
     try:
         yield
@@ -203,13 +177,7 @@ def parameters_of(policy: Any) -> int | None:
 
 
 def parse_method(given: str) -> tuple[str, str]:
-    """``NAME=module:factory`` as name and ``module:factory``, which is looked up now.
-
-    Raises
-    ------
-    InputError
-        If it is not of that form, or there is no such factory.
-    """
+    """``NAME=module:factory`` as name and ``module:factory``, which is looked up now."""
     name, equals, place = given.partition("=")
     if not equals or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(
@@ -220,13 +188,7 @@ def parse_method(given: str) -> tuple[str, str]:
 
 
 def load_factory(place: str) -> Callable[[MethodSetting], Any]:
-    """What ``module:factory`` names; modules in the working directory are found too.
-
-    Raises
-    ------
-    InputError
-        If it cannot be imported or is no callable.
-    """
+    """What ``module:factory`` names; modules in the working directory are found too."""
     module, colon, name = place.partition(":")
     if not (module and colon and name):
         raise InputError(f"method {place!r}: write module:factory")
@@ -298,13 +260,7 @@ def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> 
 def expert_rollouts(
     demos: Demonstrations, species: Species, seed: int, repetitions: int
 ) -> Rollouts:
-    """Return rollouts of the teams that made the demonstrations, from starts of their condition.
-
-    Raises
-    ------
-    InputError
-        If they are not known.
-    """
+    """Return rollouts of the teams that made the demonstrations, from starts of their condition."""
     teams = teams_of(demos)
     if teams is None:
         raise InputError(f"{demos.name}: who made it is not known: leave 'experts' out")
@@ -323,11 +279,6 @@ def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) 
     """Return each of the ``others`` as if it were a rollout from a test start of its condition.
 
     They are dealt evenly and each once, so that no classifier meets one of them twice.
-
-    Raises
-    ------
-    InputError
-        If none has the condition of a test episode.
     """
     rng = np.random.default_rng(seed)
     taken, start, repetition = [], [], []

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.distances import FEW_ROLLOUTS, energy_cells, pooled_score
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Episodes, Metric
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
@@ -32,9 +31,10 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_mean,
     cells,
     covers,
+    interval,
     single_cells,
 )
-from animarl_algos.evaluation.verdict import SUMMARY, verdict
+from animarl_algos.evaluation.verdict import summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
 from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -160,10 +160,7 @@ def _score(
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared(test, comparison_smoothing(test))
     counted = censored(factual(rollouts, test), test)
-    simulated, recorded = (
-        prepared.measures(side) for side in (prepared.filtered(counted), prepared.recorded)
-    )
-    draws, number = Draws.by(rng_draws, resamples), len(test)
+    draws = Draws.by(rng_draws, resamples)
     rows: dict[str, dict[str, Any]] = {}
 
     def put(
@@ -180,7 +177,7 @@ def _score(
             value = Interval(row["distance"], reason="a test: no interval")
         elif row["measure"] in (AUC, SEQUENCE):
             among = found.areas[row["measure"]]["among"]
-            value, null = found.auc if row["measure"] == AUC else found.sequence, among.high
+            value, null = found.area(row["measure"]), among.high
             # Over all folds each recording stands on one side itself and on the other as another's:
             # a classifier would learn to call it by the side on which it met it.
             if others is None and rollouts.method == RECORDINGS:
@@ -189,26 +186,26 @@ def _score(
     others_score = found.realism_beside.get(OTHERS, math.nan)
     put(REALISM, found.realism, others_score, found.realism.estimate >= others_score)
     drawn, true = (
-        np.stack([side[k] / (float(np.std(recorded[k])) or 1.0) for k in SUMMARY], axis=1)
-        for side in (simulated, recorded)
+        summary_table(prepared, side) for side in (prepared.filtered(counted), prepared.recorded)
     )
-    energies = energy_cells(drawn, counted.seed, counted.demo, true).cell_means
+    energies = energy_cells(drawn, counted.seed, counted.demo, true)
     energy, pooled = Interval(math.nan, reason=FEW_ROLLOUTS), pooled_score(true)
-    if np.isfinite(energies).any():
-        energy = bootstrap_mean(single_cells(energies), draws)
+    if energies.counts.any():
+        energy = bootstrap_mean(energies, draws)
     put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
     own, other = (DTW_PER_STEP.measure(Episodes(side, test)) for side in (counted, beside))
-    dtw, null = bootstrap_mean(cells(own, counted.seed, counted.demo, number), draws), other.mean()
-    put(DTW_PER_STEP.key, dtw, float(null), dtw.estimate <= null, DTW_PER_STEP.unit)
+    data, null = cells(own, counted.seed, counted.demo, len(test)), float(other.mean())
+    dtw = bootstrap_mean(data, draws)
+    put(DTW_PER_STEP.key, dtw, null, dtw.estimate <= null, DTW_PER_STEP.unit)
     return Score(
         method=rollouts.method,
         seeds=tuple(np.unique(counted.seed).tolist()),
         starts=len(np.unique(counted.demo)),
         rollouts=len(counted),
-        covers=covers(cells(simulated["duration"], counted.seed, counted.demo, number)),
+        covers=covers(data),
         words=found.overall,
         measures=pd.DataFrame([rows[key] for key in labels() if key in rows]).set_index("measure"),
-        energies=energies,
+        energies=energies.cell_means,
     )
 
 

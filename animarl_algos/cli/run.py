@@ -141,7 +141,7 @@ def run_command(**given: Any) -> None:
     begin("3/4", f"evaluating on {tested}")
     evaluation = pipeline.evaluate_run(run)
     warn([*implausible(evaluation.verdict), *far_acting_rules(run)])
-    console.print(evaluation_table(evaluation))
+    console.print(evaluation_table(evaluation, words=Words.of(run.demos)))
     begin("4/4", "writing the report")
     page = pipeline.report(run)
     console.print(verdict_table(evaluation.verdict, Words.of(run.demos)))

@@ -281,8 +281,7 @@ class Judge:
     """What one judge makes of the rollouts, and of what they are read beside.
 
     ``areas`` are those under the curve, by name: of recordings ``among`` themselves, of closed-loop
-    tracking (``floor``), of such tracking with some actions at random (``perturbed``), and of
-    random actions (``ceiling``).
+    tracking (``floor``) and of random actions (``ceiling``).
     """
 
     key: str
@@ -369,7 +368,6 @@ def judge_sequences(
         return sequence_windows(rollouts, prepared.demos.arena, prepared.rest, steps, group)
 
     label = f"Distinguished by order in time over {steps * prepared.recorded.dt:.3g} s (AUC)"
-    sides = {name: one for name, one in sides.items() if name != "perturbed"}  # it takes time
     judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng, alone)
     if alone:
         return judge
@@ -393,16 +391,12 @@ def _judge(
 
 
 def read_beside(
-    prepared: Prepared,
-    floor: Tracked | None,
-    perturbed: Tracked | None,
-    baselines: Mapping[str, Rollouts],
+    prepared: Prepared, floor: Tracked | None, baselines: Mapping[str, Rollouts]
 ) -> dict[str, Rollouts]:
     """Return what rollouts are read beside, smoothed as the recordings."""
     demos, sides = prepared.demos, {}
     if (random := baselines.get("random")) is not None:
         sides["ceiling"] = factual(random, demos)
-    for name, tracking in (("floor", floor), ("perturbed", perturbed)):
-        if tracking is not None:
-            sides[name] = followed(demos, tracking)
+    if floor is not None:
+        sides["floor"] = followed(demos, floor)
     return {name: prepared.filtered(one) for name, one in sides.items()}

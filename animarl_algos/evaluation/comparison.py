@@ -17,9 +17,8 @@ import numpy as np
 from animarl_algos.evaluation.distances import (
     DISTANCE_RESAMPLES,
     FEW_ROLLOUTS,
-    bootstrap_distances,
+    bootstrap_kde,
     energy_cells,
-    kde_floor,
     pooled_score,
 )
 from animarl_algos.evaluation.exchange_test import Exchanges
@@ -37,6 +36,7 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_mean,
     cells,
     covers,
+    put_intervals,
     shared_starts,
     single_cells,
     within_intervals,
@@ -45,7 +45,6 @@ from animarl_algos.evaluation.statistics import (
 if TYPE_CHECKING:
     import pandas as pd
 
-BASELINE = "BC"
 COUNTING = {"all": "all episodes", "captures": "captures only"}
 PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
 GATE_LEVEL = 0.05
@@ -145,9 +144,8 @@ def comparison_table(
     - ``to_recorded``: less the recorded mean, on the ``to_recorded_demos`` starts that both have;
     - ``energy``: mean energy score per start, the primary measure of a distribution; beside it
       ``energy_pooled``, what the recordings of all other starts score;
-    - ``kde`` and ``wasserstein``: distances of the pooled values; ``..._null`` are mean and central
-      95 % of what a perfect simulator gives, ``kde_p`` and ``wasserstein_p`` how often it gives as
-      much; ``kde_floor`` is the smallest bandwidth where it acts [unit of the metric].
+    - ``kde``: the kernel-density distance of the pooled values; ``kde_null`` are mean and central
+      95 % of what a perfect simulator gives, ``kde_p`` how often it gives as much.
 
     Beside a distance to the recordings (DTW) stand ``duration`` and ``reached`` of the same
     episodes, without which a short episode passes for a close one.
@@ -171,8 +169,8 @@ def comparison_table(
             if not (simulation or metric.of_recordings):
                 continue
             shared = data.starts & reference.starts
-            gap = energy = kde = kde_null = distance = null = UNDEFINED
-            pooled = kde_p = p = floor = math.nan
+            gap = energy = kde = kde_null = UNDEFINED
+            pooled = kde_p = math.nan
             if compared:
                 gap = bootstrap_difference(data, reference, draws, share=metric.share)
             if compared and metric.has_distribution:
@@ -180,12 +178,13 @@ def comparison_table(
                 energy = _energy_interval(bootstrap_mean(energies, draws), energies)
                 pooled = pooled_score(truth[shared])
                 values = methods.values(name, metric, counting)
-                kde, distance = bootstrap_distances(
+                kde = bootstrap_kde(
                     values, truth, rows["seed"], rows["demo"], rng, distance_resamples
                 )
-                chance = exchanges[name].distances(np.concatenate([truth, values]))
-                (kde_null, kde_p), (null, p) = chance
-                floor = kde_floor(values, truth)
+                kde_null, kde_p = exchanges[name].kde(np.concatenate([truth, values]))
+            reason = "" if simulation else "recordings are what is compared with"
+            if simulation and not metric.has_distribution:
+                reason = "a share has no distribution" if metric.share else "it is a distance"
             row: dict[str, Any] = {
                 "method": name,
                 "metric": metric.key,
@@ -198,14 +197,14 @@ def comparison_table(
                 "energy_pooled": pooled,
                 "duration": methods.cells(name, DURATION, counting).mean,
                 "reached": methods.cells(name, RETURN, counting).mean if reaches else math.nan,
-                "reason": "",
+                "reason": reason,
             }
             mean = bootstrap_mean(data, draws, share=metric.share)
             put_intervals(
                 row, mean=mean, within=within.get(name, UNDEFINED), to_recorded=gap, energy=energy,
-                kde=kde, kde_null=kde_null, wasserstein=distance, wasserstein_null=null,
+                kde=kde, kde_null=kde_null,
             )  # fmt: skip
-            table.append(row | {"kde_p": kde_p, "wasserstein_p": p, "kde_floor": floor})
+            table.append(row | {"kde_p": kde_p})
     return pd.DataFrame(table)
 
 
@@ -276,7 +275,8 @@ def contrast_table(
     import pandas as pd
 
     methods = _Methods(metrics, num_demos)
-    named = [tuple(find_method(methods.rows, name) for name in pair) for pair in planned]
+    own = {name.casefold(): name for name in methods.rows}
+    named = [(own.get(one.casefold()), own.get(other.casefold())) for one, other in planned]
     pairs = [(one, other) for one, other in named if one is not None and other is not None]
     taking_part = list(dict.fromkeys(name for pair in pairs for name in pair))
     table: list[dict[str, Any]] = []
@@ -324,25 +324,6 @@ def contrast_table(
                 put_intervals(row, difference=value)
                 table.append(row)
     return pd.DataFrame(table, columns=CONTRAST_COLUMNS)
-
-
-def find_method(names: Any, wanted: str) -> str | None:
-    """The name among ``names`` that equals ``wanted`` but for its case."""
-    return next((str(n) for n in names if str(n).casefold() == wanted.casefold()), None)
-
-
-def interval(row: Any, key: str) -> Interval:
-    """The interval that a table row holds under ``key``, ``key_low`` and ``key_high``."""
-    return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
-
-
-def put_intervals(row: dict[str, Any], **values: Interval) -> None:
-    """Put what :func:`interval` reads into a row, and why it is undefined into its ``reason``."""
-    for key, value in values.items():
-        row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}
-        if value.reason:
-            told = [row["reason"]] if row.get("reason") else []
-            row["reason"] = "; ".join([*told, f"{key}: {value.reason}"])
 
 
 def _energy_interval(found: Interval, *sides: Cells) -> Interval:

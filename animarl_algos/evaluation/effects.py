@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import put_intervals
 from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes, Metric
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -33,6 +32,7 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_difference,
     bootstrap_mean,
     cells,
+    put_intervals,
     single_cells,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -40,7 +40,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 if TYPE_CHECKING:
     import pandas as pd
 
-MEAN, FLIPPED, TRUE_MEAN = "mean", "mean, cue flipped", "mean, other condition"
+MEAN, FLIPPED = "mean", "mean, cue flipped"
 ERROR, PREDICTED, TRUE = "signed error", "predicted shift", "true shift"
 MISSED, UNTRAINED_SHIFT, BLIND = "predicted - true", "untrained shift", "flag zeroed"
 ACCURACY, ERROR_DIFFERENCE = "treatment accuracy", "difference of signed errors"

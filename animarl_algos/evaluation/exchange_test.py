@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.distances import wasserstein_weighted, weighted_distances
+from animarl_algos.evaluation.distances import kde_distances
 from animarl_algos.evaluation.statistics import (
     UNDEFINED,
     Floats,
@@ -106,18 +106,8 @@ class Exchanges:
             simulated[rows, members[chosen]] = 0.0
         return cls(recorded, simulated)
 
-    def difference(self, values: ArrayLike) -> Tested:
-        """Absolute difference of the means of rollouts and recordings; ``(episodes,)`` values."""
-        means = [side @ np.asarray(values) / side.sum(axis=1) for side in self._sides]
-        return Tested.of(np.abs(means[0] - means[1]))
-
-    def wasserstein(self, values: ArrayLike) -> Tested:
-        """Wasserstein-1 distance of rollouts and recordings, in the values' unit."""
-        values = np.asarray(values, dtype=np.float64)
-        return Tested.of(wasserstein_weighted(values, self.simulated, values, self.recorded))
-
-    def distances(self, values: ArrayLike) -> tuple[tuple[Interval, float], ...]:
-        """Mean and central 95 % of the null, and p, of the kernel-density and Wasserstein distance.
+    def kde(self, values: ArrayLike) -> tuple[Interval, float]:
+        """Mean and central 95 % of the null, and p, of the kernel-density distance.
 
         ``values`` ``(episodes,)`` may be NaN where an episode does not count.
         """
@@ -125,14 +115,12 @@ class Exchanges:
         counts = np.isfinite(values)
         known, sides = values[counts], [side[:, counts] for side in self._sides]
         if not counts.any() or min(side[0].sum() for side in sides) == 0:
-            return ((UNDEFINED, math.nan),) * 2
-        found = []
-        for drawn in weighted_distances(known, sides[0], known, sides[1]):
-            null = drawn[1:][np.isfinite(drawn[1:])]
-            mean = float(null.mean()) if len(null) else math.nan
-            p = Tested.of(np.concatenate([drawn[:1], null])).p
-            found.append((percentile_interval(mean, drawn[1:]), p))
-        return tuple(found)
+            return UNDEFINED, math.nan
+        drawn = kde_distances(known, sides[0], known, sides[1])
+        null = drawn[1:][np.isfinite(drawn[1:])]
+        mean = float(null.mean()) if len(null) else math.nan
+        p = Tested.of(np.concatenate([drawn[:1], null])).p
+        return percentile_interval(mean, drawn[1:]), p
 
     def chi_squared(self, category: ArrayLike) -> Tested:
         """Pearson's statistic of categories by recorded and simulated, however small the counts."""

@@ -153,8 +153,6 @@ class Metric:
         The planned contrasts are worked out for it.
     caption, heading
         Of its figure in the report, and of its column in the terminal; not shown there without.
-    per_step
-        The same per step, a column in its table.
     compared, judged, on_board
         Where it is shown: in the table of episodes and the comparison, in the verdict, and on the
         leaderboard.
@@ -181,7 +179,6 @@ class Metric:
     of_recordings: bool = True
     planned: bool = False
     caption: str = ""
-    per_step: Metric | None = None
     heading: str = ""
     compared: bool = True
     judged: bool = True
@@ -267,9 +264,9 @@ DTW = Metric(
     measure=lambda episodes: episodes.dtw[0],
     of_recordings=False,
     planned=True,
-    caption="DTW distance of each rollout to the demonstration that it started from, mean over the "
+    caption="Distance of each rollout to the demonstration that it started from after the best "
+    "alignment in time (dynamic time warping, DTW), mean over the "
     "pursuers (or the moth's), summed along the warping path: all episodes, and captures only.",
-    per_step=DTW_PER_STEP,
     heading="DTW distance",
 )
 

@@ -189,7 +189,8 @@ def order_measures(
             alone = rollouts.num_individuals == 1 and not rollouts.has_goal
             found += () if alone else _interactions(series, lags[0])
             if alone or rollouts.is_group:
-                found.append(("length of rests", ORDER, _rests(series) * rollouts.dt))
+                rests = _bouts(~series.moving, np.isfinite(series.speed))
+                found.append(("length of rests", ORDER, rests * rollouts.dt))
             found += _places(series, arena, rollouts.has_goal) if arena is not None else ()
             if rollouts.is_group:
                 own = np.nanstd(_mean(series.speed), axis=1, keepdims=True)
@@ -372,11 +373,6 @@ def _bouts(moving: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
     begins = moving & ~np.concatenate([np.zeros_like(moving[:, :1]), moving[:, :-1]], axis=1)
     count = begins.sum(axis=1)
     return np.asarray(moving.sum(axis=1) / np.maximum(count, 1))
-
-
-def _rests(series: Series) -> Floats:
-    """Mean length of uninterrupted rest [steps]; 0 where there is none."""
-    return _bouts(~series.moving, np.isfinite(series.speed))
 
 
 def _longest(true: NDArray[np.bool_]) -> Floats:

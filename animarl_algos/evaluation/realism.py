@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,11 @@ from animarl_algos.evaluation.order_in_time import (
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
     Floats,
     Interval,
     Ints,
     percentile_interval,
+    put_intervals,
 )
 from animarl_envs.demos.episode import UNFINISHED
 
@@ -69,25 +69,6 @@ class Component:
     values: Floats
     episode: Ints
     individual: Ints
-
-
-@dataclass(frozen=True, eq=False)
-class Realism:
-    """Realism of a simulator.
-
-    Parameters
-    ----------
-    table
-        One row per component, per kind and for the total: ``component, kind, weight, score, low,
-        high`` and, where they were asked for, the scores of ``ceiling``, ``other recordings`` and
-        ``random actions``. Rows of kinds and the total have an empty ``component``.
-    score
-        The total with its 95 % interval over recordings. Scores rise with the number of rollouts
-        a start: compare only equal numbers.
-    """
-
-    table: pd.DataFrame
-    score: Interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +139,13 @@ def realism(
     *,
     references: Rollouts | None = None,
     random: Rollouts | None = None,
-) -> Realism:
+) -> pd.DataFrame:
     """Score rollouts by the likelihood of the recordings that they started from.
+
+    One row per component, per kind and, last, the total: ``component, kind, weight``, the ``score``
+    with its 95 % interval over recordings and, where they were asked for, the scores of
+    ``ceiling``, ``other recordings`` and ``random actions``. Rows of kinds and the total have an
+    empty ``component``. Scores rise with the number of rollouts a start.
 
     Parameters
     ----------
@@ -197,16 +183,16 @@ def realism(
     levels = [(name, kinds[i], np.arange(len(kinds)) == i) for i, name in enumerate(names)]
     levels += [("", kind, kinds == kind) for kind in WEIGHTS if (kinds == kind).any()]
     levels.append(("", "total", np.ones(len(kinds), dtype=bool)))
-    rows, total = [], UNDEFINED
+    rows = []
     for name, kind, members in levels:
         if not weights[members].sum() > 0:
             continue
         means = {key: _weighted(each[members], weights[members]) for key, each in columns.items()}
-        total = _over_groups(means.pop("score"), group, rng)
-        row = {"component": name, "kind": kind, "weight": float(weights[members].sum())}
-        row |= {"score": total.estimate, "low": total.low, "high": total.high}
+        row: dict[str, Any] = {"component": name, "kind": kind}
+        row["weight"] = float(weights[members].sum())
+        put_intervals(row, score=_over_groups(means.pop("score"), group, rng))
         rows.append(row | {key: float(np.nanmean(each)) for key, each in means.items()})
-    return Realism(pd.DataFrame(rows), total)
+    return pd.DataFrame(rows)
 
 
 def _weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +47,20 @@ class Interval:
 
 
 UNDEFINED = Interval(math.nan)
+
+
+def interval(row: Any, key: str) -> Interval:
+    """The interval that a table row holds under ``key``, ``key_low`` and ``key_high``."""
+    return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
+
+
+def put_intervals(row: dict[str, Any], **values: Interval) -> None:
+    """Put what :func:`interval` reads into a row, and why it is undefined into its ``reason``."""
+    for key, value in values.items():
+        row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}
+        if value.reason:
+            told = [row["reason"]] if row.get("reason") else []
+            row["reason"] = "; ".join([*told, f"{key}: {value.reason}"])
 
 
 @dataclass(frozen=True, eq=False)

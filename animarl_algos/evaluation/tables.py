@@ -19,8 +19,8 @@ from animarl_algos.evaluation.comparison import (
 )
 from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.effects import answers_of, cue_effects
-from animarl_algos.evaluation.metrics import METRICS, measure, measure_recordings
-from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
+from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -94,7 +94,6 @@ def evaluate(
     learner: str | None = None,
     planned_flip: tuple[int, int] | None = None,
     floor: Tracked | None = None,
-    perturbed: Tracked | None = None,
     references: Demonstrations | None = None,
     smoothing: int | None = None,
     resamples: int = RESAMPLES,
@@ -112,7 +111,7 @@ def evaluate(
         Of the resampling.
     learner
         The method that the verdict is about; the first by default.
-    floor, perturbed, references, smoothing
+    floor, references, smoothing
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
     planned_flip
         The flip ``(from, to)`` of the condition that was planned in advance.
@@ -157,7 +156,6 @@ def evaluate(
             replace(rollouts[learner], method=learner),
             seed=seed,
             floor=floor,
-            perturbed=perturbed,
             baselines={name: r for name, r in rollouts.items() if name != learner},
             references=references,
             smoothing=smoothing,
@@ -199,21 +197,4 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
 def _reason(row: Any) -> str:
     """Why values of a row are missing, where it does not say so itself."""
     missing = [key for key, value in row.items() if isinstance(value, float) and np.isnan(value)]
-    if not missing:
-        return ""
-    found = []
-    if "kde_null" in row:
-        if row["rollouts"] == 0:
-            return "no episode counts: the target was never reached"
-        metric = next((m for m in METRICS if m.key == row["metric"]), None)
-        if row["method"] == RECORDED:
-            found.append("recordings are what is compared with")
-        elif metric is not None and not metric.of_recordings:
-            found.append("it is itself a distance to the recordings")
-        elif metric is not None and metric.share:
-            found.append("a share has no distribution")
-        if {"mean_low", "to_recorded_low", "kde_low"} & set(missing) and row["demos"] < 2:
-            found.append("one demonstration gives no interval")
-        if (not found and "within" in missing) or (not found and "within_low" in missing):
-            found.append("a single method has no other to be compared with within starts")
-    return "; ".join(found) or f"not defined with so few values: {', '.join(missing)}"
+    return f"not defined with so few values: {', '.join(missing)}" if missing else ""

@@ -36,6 +36,7 @@ from animarl_algos.evaluation.statistics import (
     Interval,
     Ints,
     bootstrap_mean,
+    interval,
     single_cells,
 )
 from animarl_algos.evaluation.verdict_rows import (
@@ -86,13 +87,11 @@ class Verdict:
         Why there is too little data to say anything; empty where there is enough.
     smoothing
         Frames of the moving average that both sides went through.
-    auc, sequence, areas
-        Areas under the ROC curve of the classifier on two seconds and of the judge of order, and by
-        judge and name the areas that these are read beside
+    areas
+        By judge and name the areas that theirs are read beside
         (:class:`~animarl_algos.evaluation.classifier.Judge`).
-    realism, realism_beside, components
-        The realism score with its interval, the scores that it is read beside, and its components,
-        one row each.
+    components
+        The realism score, see :func:`~animarl_algos.evaluation.realism.realism`.
     importance
         By kind of feature, how much of the area rests on it.
     parts
@@ -106,11 +105,7 @@ class Verdict:
     rollouts: int
     too_little: str = ""
     smoothing: int = 1
-    auc: Interval = UNDEFINED
-    sequence: Interval = UNDEFINED
     areas: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
-    realism: Interval = UNDEFINED
-    realism_beside: Mapping[str, float] = field(default_factory=dict)
     components: pd.DataFrame | None = None
     importance: Mapping[str, float]
     parts: bool = False
@@ -127,6 +122,32 @@ class Verdict:
             return UNKNOWN
         found = set(self.table["judgement"])
         return next(one for one in (DIFFERS, UNKNOWN, BY_LITTLE, SAME) if one in found)
+
+    def area(self, judge: str) -> Interval:
+        """Return the area under the ROC curve of a judge: ``AUC`` or ``SEQUENCE``."""
+        if judge not in set(self.table["measure"]):
+            return UNDEFINED
+        row = self.row(judge)
+        ends = (0.5 + row["difference_low"], 0.5 + row["difference_high"])
+        return Interval(row["simulated"], *ends, row["reason"])
+
+    @property
+    def auc(self) -> Interval:
+        """The classifier's area on two seconds."""
+        return self.area(AUC)
+
+    @property
+    def realism(self) -> Interval:
+        """The realism score."""
+        return UNDEFINED if self.components is None else interval(self.components.iloc[-1], "score")
+
+    @property
+    def realism_beside(self) -> dict[str, float]:
+        """The scores that realism is read beside, by name."""
+        if self.components is None:
+            return {}
+        total = self.components.iloc[-1]
+        return {name: float(total[name]) for name in REFERENCES if name in total}
 
     @property
     def among(self) -> Interval:
@@ -158,13 +179,10 @@ class Verdict:
         """Read what :meth:`save` wrote."""
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
-        plain |= {key: _interval(plain[key]) for key in ("auc", "sequence", "realism")}
         plain["areas"] = {
             judge: {name: _interval(ends) for name, ends in some.items()}
             for judge, some in plain["areas"].items()
         }
-        beside = plain["realism_beside"]
-        plain["realism_beside"] = {k: math.nan if v is None else v for k, v in beside.items()}
         plain |= {"table": read_table(folder / "verdict.csv"), "words": tuple(plain["words"])}
         file = folder / "realism.csv"
         return cls(components=read_table(file) if file.exists() else None, **plain)
@@ -196,43 +214,26 @@ def _interval(ends: Sequence[float | None]) -> Interval:
     return Interval(estimate, low, high)
 
 
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """Recordings and the rollouts that count, smoothed alike, and streams of random numbers.
+def compared(
+    recorded: Demonstrations, rollouts: Rollouts, seed: int, smoothing: int | None
+) -> tuple[Prepared, Rollouts, JointTests, Ints, list[np.random.Generator]]:
+    """Recordings and the rollouts that count, their tests, what is resampled, and random streams.
 
-    ``group`` ``(starts,)`` is the recording of each start, None where each is one of its own.
+    What is resampled ``(starts,)`` are recordings; starts where each is of its own, or all of one.
     """
-
-    prepared: Prepared
-    counted: Rollouts
-    group: Ints | None
-    streams: list[np.random.Generator]
-
-    @classmethod
-    def of(
-        cls, recorded: Demonstrations, rollouts: Rollouts, seed: int, smoothing: int | None
-    ) -> Compared:
-        if rollouts.individuals != recorded.individuals or rollouts.demo.max() >= len(recorded):
-            raise InputError(
-                f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
-                "compare them with the demonstrations they started from"
-            )
-        if smoothing is None:
-            smoothing = comparison_smoothing(recorded)
-        prepared = Prepared(recorded, smoothing)
-        names, animals = np.unique(recorded.recording, return_inverse=True)
-        own = len(names) in (1, len(recorded))
-        group = None if own else animals.astype(np.int64)
-        streams = np.random.default_rng(seed).spawn(7)
-        return cls(prepared, prepared.counted(rollouts), group, streams)
-
-    @property
-    def animal(self) -> Ints:
-        """``(starts,)``, the unit of resampling of each."""
-        return np.arange(len(self.prepared.demos)) if self.group is None else self.group
-
-    def joint_tests(self) -> JointTests:
-        return JointTests.of(self.prepared, self.counted, self.group, self.streams[0])
+    if rollouts.individuals != recorded.individuals or rollouts.demo.max() >= len(recorded):
+        raise InputError(
+            f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
+            "compare them with the demonstrations they started from"
+        )
+    prepared = Prepared(
+        recorded, comparison_smoothing(recorded) if smoothing is None else smoothing
+    )
+    names, group = np.unique(recorded.recording, return_inverse=True)
+    own = len(names) in (1, len(recorded))
+    streams, counted = np.random.default_rng(seed).spawn(7), prepared.counted(rollouts)
+    tests = JointTests.of(prepared, counted, None if own else group, streams[0])
+    return prepared, counted, tests, np.arange(len(recorded)) if own else group, streams
 
 
 def is_green(recorded: Demonstrations, rollouts: Rollouts, *, seed: int) -> bool:
@@ -240,15 +241,13 @@ def is_green(recorded: Demonstrations, rollouts: Rollouts, *, seed: int) -> bool
 
     It takes a fraction of the time: what a benchmark of the verdict asks thousands of times.
     """
-    compared = Compared.of(recorded, rollouts, seed, None)
-    prepared, counted, streams = compared.prepared, compared.counted, compared.streams
-    if compared.joint_tests().differs:
+    prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed, None)
+    if tests.differs:
         return False
     windows, _ = judge_windows(prepared, counted, {}, None, streams[1:3], alone=True)
     if windows.row().judgement != SAME:
         return False
-    animal = compared.animal
-    sequences = judge_sequences(prepared, counted, {}, animal, streams[4], alone=True)
+    sequences = judge_sequences(prepared, counted, {}, unit, streams[4], alone=True)
     return sequences.row().judgement == SAME
 
 
@@ -258,7 +257,6 @@ def verdict(
     *,
     seed: int,
     floor: Tracked | None = None,
-    perturbed: Tracked | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
     smoothing: int | None = None,
@@ -274,9 +272,8 @@ def verdict(
         out.
     seed
         Of exchanges, folds and resamples.
-    floor, perturbed
-        The same demonstrations as the fitted locomotion follows them, and with some actions at
-        random, to read areas by.
+    floor
+        The same demonstrations as the fitted locomotion follows them, to read areas by.
     baselines
         Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, of an
         ``"untrained"`` network, which a trained one should beat, and of a group's ``"blind"`` one,
@@ -295,23 +292,24 @@ def verdict(
     import pandas as pd
 
     baselines = baselines or {}
-    compared = Compared.of(recorded, rollouts, seed, smoothing)
-    prepared, counted, streams = compared.prepared, compared.counted, compared.streams
+    prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed, smoothing)
     unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None
-    rows = verdict_rows(prepared, counted, compared.joint_tests(), streams[0], unseeing)
-    beside = read_beside(prepared, floor, perturbed, baselines)
+    rows = verdict_rows(prepared, counted, tests, streams[0], unseeing)
+    beside = read_beside(prepared, floor, baselines)
     windows, parts = judge_windows(prepared, counted, beside, references, streams[1:3])
-    sequences = judge_sequences(prepared, counted, beside, compared.animal, streams[4])
+    sequences = judge_sequences(prepared, counted, beside, unit, streams[4])
     rows += [windows.row(), sequences.row()]
     others = None
     if references is not None:
         others = prepared.filtered(Rollouts.from_demonstrations(references))
-    scored = realism(prepared, counted, streams[5], references=others, random=beside.get("ceiling"))
+    components = realism(
+        prepared, counted, streams[5], references=others, random=beside.get("ceiling")
+    )
     words, untrained = _overall(rows), baselines.get("untrained")
     if untrained is not None and words != (SAME,):
         farther = _farther(prepared, counted, prepared.counted(untrained), streams[3])
         words = (WORSE, *words) if farther else words
-    total, table = scored.table.iloc[-1], pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
     starts = np.unique(counted.demo)
     return Verdict(
         table=table.drop(columns=[name for name in CONTROLS if table[name].isna().all()]),
@@ -321,12 +319,8 @@ def verdict(
         rollouts=int(np.count_nonzero(~counted.copies)),
         too_little=_too_little(len(starts), len(np.unique(recorded.recording[starts]))),
         smoothing=prepared.smoothing,
-        auc=windows.simulated.auc,
-        sequence=sequences.simulated.auc,
         areas={judge.key: dict(judge.areas) for judge in (windows, sequences)},
-        realism=scored.score,
-        realism_beside={name: float(total[name]) for name in REFERENCES if name in total},
-        components=scored.table,
+        components=components,
         importance=windows.simulated.importance,
         parts=parts,
     )
@@ -354,21 +348,22 @@ def _too_little(starts: int, recordings: int) -> str:
     return ""
 
 
+def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
+    """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
+    true, found = prepared.measures(prepared.recorded), prepared.measures(rollouts)
+    return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
+
+
 def _farther(prepared: Prepared, ours: Rollouts, other: Rollouts, rng: np.random.Generator) -> bool:
     """Whether our rollouts are farther from the recordings than others from the same starts.
 
-    By the energy score of duration, path length and speed together, each in units of its recorded
-    spread; the 95 % interval of the difference over starts must exclude none.
+    By the energy score of the summary; the 95 % interval of the difference over starts must
+    exclude none.
     """
-    true = prepared.measures(prepared.recorded)
-    scale = {key: float(np.std(true[key])) or 1.0 for key in SUMMARY}
-
-    def table(rollouts: Rollouts) -> Floats:
-        found = prepared.measures(rollouts)
-        return np.stack([found[key] / scale[key] for key in SUMMARY], axis=1)
-
-    recorded = table(prepared.recorded)
-    scores = [energy_scores(table(one), one.demo, recorded) for one in (ours, other)]
+    recorded = summary_table(prepared, prepared.recorded)
+    scores = [
+        energy_scores(summary_table(prepared, one), one.demo, recorded) for one in (ours, other)
+    ]
     return bootstrap_mean(single_cells(np.subtract(*scores)[None]), rng).low > 0
 
 

@@ -1,4 +1,4 @@
-"""The page of a counterfactual: shifts with their truth, errors, every episode, paths."""
+"""The page of a counterfactual: what is claimed, and shifts beside their truth."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from animarl_algos.evaluation import effects as effects_of
-from animarl_algos.evaluation.comparison import interval
-from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes
-from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
+from animarl_algos.evaluation.metrics import PATH_LENGTH
+from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.report import figures, style
-from animarl_algos.report.figures import Dots
 from animarl_algos.report.inputs import CounterfactualInputs, PageInputs
 from animarl_algos.report.page import (
     Block,
@@ -24,11 +22,10 @@ from animarl_algos.report.page import (
     Text,
     tabulate,
 )
-from animarl_algos.report.path_figures import path_panels
-from animarl_algos.report.player import changed_starts, first_from, shift_player
-from animarl_algos.report.provenance import provenance, to_paste
+from animarl_algos.report.player import shift_player
+from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import Image, method_label, to_image
-from animarl_algos.report.words import ARROW, MINUS, NOTHING, pick, scaled, with_interval
+from animarl_algos.report.words import MINUS, pick, scaled, with_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,19 +38,18 @@ SHIFTS = {
     "Flag\nzeroed": effects_of.BLIND,
 }
 NULLS = (effects_of.UNTRAINED_SHIFT, effects_of.BLIND)
-QUANTILES = (0.1, 0.5, 0.9)  # of the predicted change, for the examples
 COUNTED = {"all": "All episodes", "captures": "Captures only, starts that both reach"}
 
 
 def counterfactual_page(inputs: CounterfactualInputs) -> Page:
-    """Return the page: what is claimed and the player, then shifts, errors, episodes and paths."""
+    """Return the page: what is claimed and the player, then shifts and how it was made."""
     names = list(map(method_label, inputs.asked))
     said = [Sentences(list(findings(inputs))), Sentences(list(cautions(inputs)))]
     seeds = [
         (method_label(name), f"seeds {', '.join(map(str, some))}")
         for name, some in inputs.seeds.items()
     ]
-    demos, table = inputs.demos, inputs.effects.table
+    demos = inputs.demos
     return Page(
         title=f"Counterfactual: {', '.join(names)}",
         kind="What if the condition had been the other one?",
@@ -67,13 +63,8 @@ def counterfactual_page(inputs: CounterfactualInputs) -> Page:
         sections=[
             Section("findings", "In short", [block for block in said if block.sentences]),
             Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
-            Section("errors", "Error to the demonstrations", [error_table(inputs, table)]),
-            Section("episodes", "Every episode", list(_episodes(inputs))),
-            Section("paths", "Factual beside flipped", list(_paths(inputs))),
             Section("provenance", "How this was made", list(provenance(inputs, "page"))),
-            Section("paste", "To paste", list(_paste(inputs))),
         ],
-        methods=names,
     )
 
 
@@ -201,110 +192,3 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
                 colours=colours,
             )  # fmt: skip
             yield to_image(figure, f"Predicted and true shifts of the path length, {flip}")
-
-
-def error_table(inputs: PageInputs, table: pd.DataFrame) -> Table:
-    """Return errors to the demonstrations, and the differences of the methods' errors."""
-
-    def accuracy(row: Any) -> str:
-        found = pick(table, method=row["method"], quantity=effects_of.ACCURACY)
-        return NOTHING if found is None else with_interval(interval(found, "value"))
-
-    words = inputs.words
-    shown = table[table["quantity"].isin([effects_of.ERROR, effects_of.ERROR_DIFFERENCE])]
-    return tabulate(
-        "Signed errors",
-        {
-            "Method": lambda row: method_label(str(row["method"])).replace(" - ", f" {MINUS} "),
-            "Variant": lambda row: str(row["variant"]),
-            "Condition": lambda row: inputs.condition(int(row["condition"])),
-            f"Simulated {MINUS} {inputs.recorded}\n({words.unit_of(PATH_LENGTH)})": (
-                lambda row: words.told(row, "value", PATH_LENGTH)
-            ),
-            "Treatment\naccuracy": accuracy,
-        },
-        counted(shown[shown["value"].notna()]),
-        "Mean path length of the rollouts minus that of the demonstrations they started from, in "
-        "the same condition [95 % interval], and the difference of the methods' errors. Treatment "
-        "accuracy: balanced, on held-out demonstrations; 0.5 is what a memory blind to the "
-        "condition gives.",
-        left=3,
-    )
-
-
-def _episodes(inputs: CounterfactualInputs) -> Iterator[Block]:
-    figure = figures.episode_dots(list(_dots(inputs)), f"Path length ({inputs.unit})")
-    yield Gallery(
-        [to_image(figure, "Path length of every episode by method, condition and cue")],
-        "Every episode is a dot (mean over those who move towards the target), bars are means: "
-        f"{inputs.recorded}, simulated in either condition, and hollow: told the other condition "
-        f"(1: {inputs.condition(0)}, 2: {inputs.condition(1)}).",
-    )
-
-
-def _dots(inputs: CounterfactualInputs) -> Iterator[Dots]:
-    """A column for each condition of everybody, told the truth and then the other condition."""
-    demos, asked, factor = inputs.demos, inputs.asked, inputs.words.factor(PATH_LENGTH)
-    recorded = Rollouts.from_demonstrations(demos)
-    shown: list[tuple[str, str, Any, bool]] = [
-        (inputs.recorded, RECORDED, (recorded, recorded), False),
-        *((method_label(n), n, (a.trained.factual,) * 2, False) for n, a in asked.items()),
-        *((method_label(n), n, (a.trained.flipped,) * 2, True) for n, a in asked.items()),
-    ]
-    if inputs.teams is not None:
-        shown.append(("team", RECORDED, inputs.teams[::-1], True))
-    for label, method, by_condition, flipped in shown:
-        for c, rollouts in enumerate(by_condition):
-            lengths = factor * PATH_LENGTH.measure(Episodes(rollouts, demos))
-            own = demos.condition[rollouts.demo] == c
-            told = f"{ARROW}{2 - c}" if flipped else ""
-            yield Dots(f"{label} {c + 1}{told}", method, lengths[own], flipped)
-
-
-def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
-    of, told = inputs.planned
-    truth, other = inputs.condition(of), inputs.condition(told)
-    images = []
-    for start in changed_starts(inputs, of, QUANTILES):
-        recorded = inputs.demos.episode(start).positions
-        paths = [(inputs.recorded, recorded)]
-        for cue, key in ((truth, "factual"), (other, "flipped")):
-            for name, one in inputs.asked.items():
-                rollouts = getattr(one.trained, key)
-                said = cue if key == "factual" else f"told {cue}"
-                path = rollouts.path(first_from(rollouts, start))
-                paths.append((f"{method_label(name)}\n{said}", path))
-        if inputs.teams is not None:
-            team = inputs.teams[told]
-            paths.append((f"team\n{other}", team.path(first_from(team, start))))
-        figure = path_panels(paths, recorded, inputs.stage, f"start {start}")
-        images.append(to_image(figure, f"Paths from start {start}, told {truth} and {other}"))
-    yield Gallery(
-        images,
-        f"From one start each: {inputs.recorded}, simulated told the truth ({truth}), and told the "
-        f"other condition ({other}), first seed, first rollout. Starts chosen by rank: the 10th, "
-        "50th and 90th percentile of how much the path of "
-        f"{method_label(next(iter(inputs.asked)))} changes. Open circles mark starts, filled ones "
-        "ends.",
-    )
-
-
-def _paste(inputs: CounterfactualInputs) -> Iterator[Block]:
-    trained = "; ".join(
-        f"{method_label(name)}, {len(seeds)} training seed{'s' if len(seeds) != 1 else ''}"
-        for name, seeds in inputs.seeds.items()
-    )
-    truth = (
-        ""
-        if inputs.teams is None
-        else ", beside what the teams of the other condition do from the same starts"
-    )
-    sentence = (
-        f"Trained policies ({trained}) were rolled out from "
-        f"{inputs.demos.num_episodes} test starts, told the condition of the start and, with the "
-        "same random numbers, the other one. Shifts are the differences of means over starts, with "
-        "95 % intervals over starts and, from two training seeds on, over seeds by Student's t"
-        f"{truth}, and beside the shifts of untrained networks and of networks that cannot see the "
-        "condition."
-    )
-    return to_paste(inputs, "", [sentence])

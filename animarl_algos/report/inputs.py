@@ -17,7 +17,6 @@ from animarl_algos.report.path_figures import Stage, contact_drawn
 from animarl_algos.report.words import ARROW, Words, pick
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import LocomotionFit
 from animarl_envs.species import Species
 
 if TYPE_CHECKING:
@@ -28,27 +27,11 @@ if TYPE_CHECKING:
 class PageInputs:
     """What every page knows of the runs that it shows.
 
-    Parameters
-    ----------
-    demos
-        The evaluated demonstrations.
-    species
-        Whose contact radius, goal and conditions these are; None where only the recordings are
-        known.
-    command
-        Repeats the page.
-    world
-        The species' numbers in words.
-    environment
-        Options of the world that was trained in and evaluated.
-    settings
-        As resolved; may be nested.
-    versions
-        Of packages.
-    machine
-        What the trainings were made with and on: commit, processor, accelerator.
-    wall_time
-        Seconds by stage, where they were measured.
+    ``demos`` are the evaluated demonstrations, ``species`` whose contact radius, goal and
+    conditions these are (None where only the recordings are known). ``command`` repeats the page;
+    ``world`` are the species' numbers in words, ``environment`` the options of the world that was
+    trained in, ``settings`` as resolved, ``machine`` what the trainings were made with and on, and
+    ``wall_time`` seconds by stage.
     """
 
     demos: Demonstrations
@@ -100,23 +83,10 @@ class ReportInputs(PageInputs):
 
     Parameters
     ----------
-    title
-        Of the page.
     learner
         The method that the summary, the trajectories and the speeds are about.
-    rollouts
-        By method name, all seeds and cues joined.
-    evaluation
-        Of these rollouts against these demonstrations.
-    fit
-        The fitted locomotion, if it was fitted.
-    decisions
-        What the learner values along a demonstration, if it has values.
-    learning_curves
-        Tidy, columns ``method, phase, seed, step, quantity, value``; the phase ``"offline"``
-        counts epochs, every other one environment steps.
-    seeds, created
-        Training seeds, and when the page was made.
+    rollouts, evaluation
+        By method name, all seeds and cues joined; their evaluation against these demonstrations.
     episodes
         Number of demonstrations per split, where the run knows them.
     folds
@@ -134,9 +104,6 @@ class ReportInputs(PageInputs):
     learner: str
     rollouts: Mapping[str, Rollouts]
     evaluation: Evaluation
-    fit: LocomotionFit | None = None
-    decisions: Decisions | None = None
-    learning_curves: pd.DataFrame | None = None
     seeds: tuple[int, ...] = ()
     created: str = ""
     episodes: Mapping[str, int] = field(default_factory=dict)

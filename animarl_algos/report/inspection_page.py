@@ -10,12 +10,12 @@ import numpy as np
 from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
 from animarl_algos.report.inputs import InspectionInputs
-from animarl_algos.report.page import Block, Gallery, Page, Section, Sentences, Text, tabulate
-from animarl_algos.report.path_figures import path_panels, value_map, values_along_path
-from animarl_algos.report.player import MOST_ROLLOUTS, episode_player
-from animarl_algos.report.provenance import provenance, to_paste
+from animarl_algos.report.page import Block, Gallery, Page, Section, Sentences, tabulate
+from animarl_algos.report.path_figures import values_along_path
+from animarl_algos.report.player import episode_player
+from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import method_label, to_image
-from animarl_algos.report.words import NOTHING, capitalised, listed, number
+from animarl_algos.report.words import NOTHING, capitalised, number
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.demos.summary import ending_in_words
 
@@ -23,7 +23,7 @@ MOST_ROWS = 12  # of one method in the table
 
 
 def inspection_page(inputs: InspectionInputs) -> Page:
-    """Return the page: what was found and the player, then paths, episodes and decisions."""
+    """Return the page: what was found and the player, then episodes and decisions."""
     return Page(
         title=f"{inputs.species.title}: test episode {inputs.episode}",
         kind="One episode",
@@ -36,13 +36,10 @@ def inspection_page(inputs: InspectionInputs) -> Page:
         player=episode_player(inputs),
         sections=[
             Section("findings", "In short", [Sentences(list(_findings(inputs)))]),
-            Section("paths", "Paths from this start", list(_paths(inputs))),
             Section("episodes", "What became of it", list(_episodes(inputs))),
             Section("decisions", "Decisions along the demonstration", list(_decisions(inputs))),
             Section("provenance", "How this was made", list(provenance(inputs, "page"))),
-            Section("paste", "To paste", list(_paste(inputs))),
         ],
-        methods=list(map(method_label, inputs.rollouts)),
     )
 
 
@@ -64,23 +61,6 @@ def _findings(inputs: InspectionInputs) -> Iterator[str]:
     yield (
         f"Along the demonstration the action of highest value of {decisions.individual} is the "
         f"{inputs.recorded} one in {int(first[known].sum())} of {int(known.sum())} steps."
-    )
-
-
-def _paths(inputs: InspectionInputs) -> Iterator[Block]:
-    images, recorded = [], inputs.recording.path(0)
-    for name, rollouts in inputs.rollouts.items():
-        paths = [(inputs.recorded, recorded)]
-        for i in range(min(MOST_ROLLOUTS, len(rollouts))):
-            told = _told(inputs, int(rollouts.cue[i]), int(rollouts.condition[i]))
-            said = f"rollout {rollouts.repetition[i]}{f', {told}' if told else ''}"
-            paths.append((said, rollouts.path(i)))
-        figure = path_panels(paths, recorded, inputs.stage, method_label(name))
-        images.append(to_image(figure, f"Paths of {method_label(name)} beside the demonstration"))
-    yield Gallery(
-        images,
-        "The demonstration and the first rollouts of every method from its start. Open circles "
-        "mark starts, filled ones ends; the target is dark.",
     )
 
 
@@ -116,34 +96,15 @@ def _episodes(inputs: InspectionInputs) -> Iterator[Block]:
 
 
 def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
-    decisions, dt = inputs.decisions, inputs.demos.dt
-    who = decisions.individual
-    along = values_along_path(decisions, dt)
-    images = [to_image(along, f"Action values of {who} along the demonstration")]
-    if decisions.map_q.size:
-        figure = value_map(decisions, inputs.stage, dt)
-        images.append(to_image(figure, f"Best action value of {who} over the arena"))
-    yield Text(
+    who = inputs.decisions.individual
+    figure = values_along_path(inputs.decisions, inputs.demos.dt)
+    yield Gallery(
+        [to_image(figure, f"Action values of {who} along the demonstration")],
         f"What {method_label(inputs.learner)} values for {who} while everybody moves as "
-        f"{inputs.recorded}; dots are the actions found in the demonstration, angles are taken "
-        "from the direction to its focus. Over the arena: the value of the best action, were it "
-        "put there at rest."
+        f"{inputs.recorded}. Above, the mean of Q over actions and the best action's; below, the "
+        "advantage of each direction of acceleration, angles taken from the direction to its "
+        "focus; dots: the actions found in the demonstration.",
     )
-    yield Gallery(images, "Values along the demonstration, and over the arena at half of its time.")
-
-
-def _paste(inputs: InspectionInputs) -> Iterator[Block]:
-    names = listed([method_label(name) for name in inputs.rollouts])
-    rollouts = sum(map(len, inputs.rollouts.values()))
-    sentence = (
-        f"From the first frame of one {inputs.recorded} test episode "
-        f"(number {inputs.episode}, {inputs.demos.recording[inputs.episode]}), {rollouts} "
-        f"rollouts of {names} were simulated. Along the "
-        f"{inputs.recorded} path, {method_label(inputs.learner)} was asked at every time step "
-        f"for the values of all actions of {inputs.decisions.individual}. One episode was chosen "
-        "to be shown; nothing was inferred from it."
-    )
-    return to_paste(inputs, "", [sentence])
 
 
 def _condition(inputs: InspectionInputs, number: int) -> str:

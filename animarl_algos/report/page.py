@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from animarl_algos.report.style import COLOURS, Image, figure_style
-from animarl_algos.report.words import glossary
 from animarl_envs.drawing.palette import to_hex
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
@@ -168,8 +167,6 @@ class Page:
         Those without blocks are left out.
     lead, player
         The verdict and the player, side by side where there is room; either may be missing.
-    methods
-        As the page calls them; the glossary explains them and the page's terms. None: no glossary.
     """
 
     title: str
@@ -179,7 +176,6 @@ class Page:
     sections: Sequence[Section]
     lead: Lead | None = None
     player: Player | None = None
-    methods: Sequence[str] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sections", [one for one in self.sections if one.blocks])
@@ -210,7 +206,6 @@ class Page:
             player_data=None if self.player is None else as_data(self.player.data),
             script=program,
             policy=policy(program),
-            glossary=lambda body: [] if self.methods is None else glossary(self.methods, body),
         )
 
     def write(self, folder: Path) -> None:

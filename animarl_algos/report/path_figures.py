@@ -1,4 +1,4 @@
-"""Figures in the arena: paths from one start, and what a learner values there and along a path."""
+"""Figures in the arena: paths from one start, and what a learner values along a path."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.report import style
-from animarl_algos.report.words import Words, number
+from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 from animarl_envs.demos.summary import Unit
 from animarl_envs.focus import is_free
-from animarl_envs.locomotion import NUM_DIRECTIONS, action_directions
+from animarl_envs.locomotion import NUM_DIRECTIONS
 from animarl_envs.species import Species
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ View = tuple[float, float, float]
 
 DIRECTIONS = {0: "towards focus", 3: "right", 6: "away", 9: "left"}
 DIVERGING = "RdBu_r"
-SEQUENTIAL = "cividis"  # readable with every colour vision deficiency, and in grey
 
 
 @dataclass(frozen=True)
@@ -231,41 +230,4 @@ def values_along_path(decisions: Decisions, dt: float) -> Figure:
         below.invert_yaxis()
         below.set(xlabel="Time (s)", ylabel="Acceleration")
         figure.colorbar(mesh, ax=below, label="Advantage", pad=0.01)
-    return figure
-
-
-def value_map(decisions: Decisions, stage: Stage, dt: float) -> Figure:
-    """Draw the best action value at every place of the arena, with the accelerations called for.
-
-    The others stand where they were at that moment, targets as dark crosses.
-    """
-    q, unit, arena = decisions.map_q, stage.words.unit, stage.arena
-    direction = action_directions(q.argmax(axis=-1), decisions.focus, q.shape[-1])
-    direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
-    x, y = unit.per_arena_unit * decisions.x, unit.per_arena_unit * decisions.y
-    others = unit.per_arena_unit * decisions.others
-    roles = [r for n, r in zip(stage.names, stage.roles) if n != decisions.individual]
-    aims = np.array([role == "target" for role in roles], dtype=bool)
-    with style.figure_style():
-        from matplotlib.patches import Circle
-
-        figure, panel = style.new_figure(4.2, 3.6)
-        mesh = panel.pcolormesh(
-            x, y, q.max(axis=-1), cmap=SEQUENTIAL, shading="nearest", rasterized=True
-        )
-        rows, columns = (slice(None, None, max(1, len(a) // 14)) for a in (y, x))
-        panel.quiver(
-            x[columns], y[rows], direction[rows, columns, 0], direction[rows, columns, 1],
-            color=style.ON_MAP, pivot="mid", scale=24, width=0.004,
-        )  # fmt: skip
-        marks: dict[str, Any] = {"markeredgecolor": style.ON_MAP, "markeredgewidth": 1.0}
-        panel.plot(*others[~aims].T, "o", color=style.VERMILION.hex, markersize=6, **marks)
-        panel.plot(*others[aims].T, "X", color=style.TARGET.hex, markersize=6, **marks)
-        panel.set_aspect("equal")
-        title = f"{decisions.individual} at {number(decisions.moment * dt)} s"
-        panel.set(xlabel=f"x ({unit.name})", ylabel=f"y ({unit.name})", title=title)
-        if arena.shape == "disc":
-            radius = unit.per_arena_unit * arena.size
-            panel.add_patch(Circle((0, 0), radius, fill=False, edgecolor=style.MUTED.hex))
-        figure.colorbar(mesh, ax=panel, label="Q of the best action", pad=0.02)
     return figure

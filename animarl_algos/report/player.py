@@ -61,15 +61,19 @@ class Player:
 
 
 def run_player(inputs: ReportInputs) -> Player:
-    """Play simulated beside demonstrated and, where a cue was flipped, factual beside flipped."""
-    scenes = list(_run_scenes(inputs))
+    """Play simulated beside demonstrated."""
+    rollouts, _ = factual_rollouts(inputs)
+    demos, scenes = Rollouts.from_demonstrations(inputs.demos), []
+    each = max(1, STARTS // len(np.unique(rollouts.condition)))
+    for condition, chosen in examples(inputs, middles(each)):
+        for i in chosen:
+            start = int(rollouts.demo[i])
+            tracks = {RECORDED: track(demos, start), SIMULATED: track(rollouts, i)}
+            scenes.append(Scene(f"Start {start}{f', {condition}' if condition else ''}", tracks))
     learner = method_label(inputs.learner)
     views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
-    if any(FLIPPED in scene.tracks for scene in scenes):
-        flipper = method_label(str(_flipper(inputs)))
-        views.append(view("flipped", f"{flipper}, factual", FACTUAL, TOLD_OTHER, FLIPPED))
-    chosen = "from rollouts near their recording to far from it (DTW distance)"
-    return play(inputs, scenes, views, _of_starts(len(scenes), chosen))
+    chosen_by = "from rollouts near their recording to far from it (DTW distance)"
+    return play(inputs, scenes, views, _of_starts(len(scenes), chosen_by))
 
 
 def shift_player(inputs: CounterfactualInputs) -> Player:
@@ -253,49 +257,6 @@ def examples(inputs: ReportInputs, quantiles: Sequence[float]) -> Iterator[tuple
         among = np.flatnonzero(rollouts.condition == condition)
         ranked = at_ranks(dtw[among], rollouts.demo[among], quantiles)
         yield inputs.condition(condition) if len(present) > 1 else "", among[ranked].tolist()
-
-
-def _run_scenes(inputs: ReportInputs) -> Iterator[Scene]:
-    rollouts, _ = factual_rollouts(inputs)
-    conditions = len(np.unique(rollouts.condition))
-    name = _flipper(inputs)
-    asked = None if name is None else inputs.rollouts[name]
-    demos = Rollouts.from_demonstrations(inputs.demos)
-    for condition, chosen in examples(inputs, middles(max(1, STARTS // conditions))):
-        for i in chosen:
-            start = int(rollouts.demo[i])
-            tracks = {RECORDED: track(demos, start), SIMULATED: track(rollouts, i)}
-            pair = None if asked is None else _flipped_pair(asked, rollouts, i)
-            if asked is not None and pair is not None:
-                tracks |= {FACTUAL: track(asked, pair[0]), FLIPPED: track(asked, pair[1])}
-            yield Scene(f"Start {start}{f', {condition}' if condition else ''}", tracks)
-
-
-def _flipper(inputs: ReportInputs) -> str | None:
-    """The method that was told the other condition: the learner if it was, else the first."""
-    for name in dict.fromkeys([inputs.learner, *inputs.rollouts]):
-        told = inputs.rollouts[name]
-        if ((told.cue >= 0) & (told.cue != told.condition)).any():
-            return name
-    return None
-
-
-def _flipped_pair(asked: Rollouts, rollouts: Rollouts, i: int) -> tuple[int, int] | None:
-    """Factual and flipped rollout from the start of rollout ``i``: one network, one repetition."""
-    here = np.flatnonzero(
-        (asked.demo == rollouts.demo[i]) & (asked.condition == rollouts.condition[i])
-    )
-    factual = here[asked.cue[here] == asked.condition[here]]
-    same = (asked.seed[factual] == rollouts.seed[i]) & (
-        asked.repetition[factual] == rollouts.repetition[i]
-    )
-    for first in factual[np.argsort(~same, kind="stable")].tolist():
-        other = here[
-            (asked.cue[here] == 1 - asked.condition[here]) & (asked.seed[here] == asked.seed[first])
-        ]
-        if len(other):
-            return first, int(other[np.argmin(asked.repetition[other] != asked.repetition[first])])
-    return None
 
 
 def _shift_scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:

@@ -76,9 +76,6 @@ METHODS = {
 
 _BY_HEX = {colour.hex: colour.name for colour in COLOURS}
 
-ON_MAP = "#fefefe"
-"""White on a colour map, which does not follow the theme, and so neither does this."""
-
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.4)), (0, (6, 2, 1, 2)), (0, (3, 1.2)))
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """Lines and marks by position, so that nothing is told by colour alone."""
@@ -128,11 +125,6 @@ def themed(drawing: str) -> str:
         return f"var(--{name}, {found[0]})" if name else found[0]
 
     return re.sub(r"#[0-9a-f]{6}\b", variable, drawing)
-
-
-def is_method(name: str) -> bool:
-    """Whether it is one of those with a colour of their own, or its quantile twin."""
-    return _recipe(name) in METHODS
 
 
 def _recipe(name: str) -> str:

@@ -1,100 +1,103 @@
-"""The verdict and the comparison of an evaluation as tables for the terminal."""
+"""The comparison as a table, for the page and, as the verdict, for the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.comparison import COUNTING, interval
-from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH
-from animarl_algos.evaluation.rollouts import RECORDED
+from animarl_algos.evaluation.comparison import COUNTING
+from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH, Metric
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.report.page import Group, Row, Table
-from animarl_algos.report.style import method_label
+from animarl_algos.report.page import Row, Table, tabulate
 from animarl_algos.report.verdict_section import DEMONSTRATED, verdict_as_table, verdict_sentence
-from animarl_algos.report.words import Words, pick, with_interval
+from animarl_algos.report.words import Words, pick
 from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
 
 
-def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
-    """Return the verdict for the terminal.
+def comparison_as_table(
+    evaluation: Evaluation, words: Words, countings: Sequence[str], learner: str | None = None
+) -> Table:
+    """Return one row per method, of each of the rules in ``countings`` of which episodes count."""
+    comparison = evaluation.comparison
+    shown = [m for m in METRICS if m.heading and (comparison["metric"] == m.key).any()]
 
-    Raises
-    ------
-    MissingExtraError
-        If rich is not installed.
-    """
+    def told(metric: Metric, write: Callable[[Any], str]) -> Callable[[Any], str]:
+        def cell(one: tuple[str, str]) -> str:
+            counting = "all" if metric.share else one[1]
+            row = pick(comparison, method=one[0], metric=metric.key, counting=counting)
+            return "" if row is None else write(row)
+
+        return cell
+
+    def mean(metric: Metric) -> Callable[[Any], str]:
+        return told(metric, lambda row: words.told(row, "mean", metric))
+
+    def kde(row: Any) -> str:
+        value, null = row["kde"], interval(row, "kde_null")
+        return f"{value:.2f} [{null.low:.2f}, {null.high:.2f}]" if math.isfinite(value) else ""
+
+    columns: dict[str, Callable[[Any], str]] = {
+        "method": lambda one: words.label(one[0]),
+        "n": told(PATH_LENGTH, lambda row: str(int(row["rollouts"]))),
+    }
+    for metric in shown:
+        unit = f"\n({words.unit_of(metric)})" if metric.is_length else ""
+        columns[metric.heading + unit] = mean(metric)
+        if metric.has_distribution:
+            columns[f"KDE of {metric.heading.partition(',')[0]}"] = told(metric, kde)
+    columns["DTW within\nstarts"] = told(DTW, lambda row: words.told(row, "within", DTW))
+    names = [str(name) for name in comparison["method"].unique()]
+    return tabulate(
+        "Comparison",
+        columns,
+        [(COUNTING[rule].capitalize(), [(name, rule) for name in names]) for rule in countings],
+        words.say(
+            "Mean [95 % interval] over recordings and training seeds; n: episodes. KDE: "
+            "kernel-density distance to the recordings, 0 to 2; in brackets what a perfect "
+            "simulator gives. Within starts: what all methods share of a start is taken out."
+        ),
+        strong=lambda one: one[0] == learner,
+    )
+
+
+# -- on the terminal ------------------------------------------------------------------------------
+
+
+def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
+    """Return the verdict for the terminal; raise MissingExtraError if rich is not installed."""
     table = verdict_as_table(verdict, words)
-    wide = {0, len(table.columns) - 1}
-    return _terminal_table(table, verdict_sentence(verdict, words), lambda row: not row.faint, wide)
+    return _terminal_table(table, verdict_sentence(verdict, words), lambda row: not row.faint)
 
 
 def evaluation_table(
-    evaluation: Evaluation, *, counting: str = "all", learner: str | None = None
+    evaluation: Evaluation,
+    *,
+    counting: str = "all",
+    learner: str | None = None,
+    words: Words = DEMONSTRATED,
 ) -> TerminalTable:
-    """Return one row per method: means with 95 % intervals, and distances to the demonstrations.
+    """Return the comparison for the terminal; raise MissingExtraError if rich is not installed.
 
-    They are called demonstrated, not recorded: they may be synthetic.
-
-    Parameters
-    ----------
-    counting
-        Which episodes count: ``"all"`` or ``"captures"``; the table says so.
-    learner
-        A method to print in bold.
-
-    Raises
-    ------
-    MissingExtraError
-        If rich is not installed.
+    Which episodes count, ``"all"`` or ``"captures"``, is in its title; the ``learner`` is bold.
     """
-    known = set(evaluation.comparison["metric"])
-    shown = [metric for metric in METRICS if metric.heading and metric.key in known]
-    headings = [h for m in shown for h in (m.heading, *(["KDE"] if m.has_distribution else []))]
-    rows = []
-    for name in evaluation.comparison["method"].unique():
-
-        def found(key: str, rule: str, name: str = name) -> object | None:
-            return pick(evaluation.comparison, method=name, metric=key, counting=rule)
-
-        cells = []
-        for metric in shown:
-            row = found(metric.key, "all" if metric.share else counting)
-            cells.append("" if row is None else with_interval(interval(row, "mean"), metric.share))
-            if metric.has_distribution:
-                cells.append("" if row is None else _against_null(row))
-        own, count = found(DTW.key, counting), found(PATH_LENGTH.key, counting)
-        cells.append("" if own is None else with_interval(interval(own, "within")))
-        label = "demonstrated" if name == RECORDED else method_label(str(name))
-        number = "" if count is None else str(int(count["rollouts"]))  # type: ignore[index]
-        rows.append(Row([label, number, *(c.replace(" [", "\n[") for c in cells)], name == learner))
-    table = Table(
-        "comparison",
-        ["method", "n", *headings, "within starts"],
-        [Group("", rows)],
-        "Mean [95 % interval] over demonstrations and seeds. KDE: kernel-density "
-        "distance to the demonstrations, 0 to 2; in brackets what a perfect simulator gives. "
-        "Within starts: the DTW distance with what all methods share of a start taken out.",
-    )
-    title = f"Simulated against demonstrated, {COUNTING[counting]}"
-    return _terminal_table(table, title, lambda row: row.strong)
-
-
-def _against_null(row: object) -> str:
-    value, null = interval(row, "kde"), interval(row, "kde_null")
-    if value.estimate != value.estimate:
-        return ""
-    return f"{value.estimate:.2f} [{null.low:.2f}, {null.high:.2f}]"
+    table = comparison_as_table(evaluation, words, [counting], learner)
+    title = words.say(f"Simulated against recorded, {COUNTING[counting]}")
+    return _terminal_table(table, title, lambda row: row.strong, wrapped=False)
 
 
 def _terminal_table(
-    table: Table, title: str, bold: Callable[[Row], bool], wide: Collection[int] = ()
+    table: Table, title: str, bold: Callable[[Row], bool] = lambda row: False, wrapped: bool = True
 ) -> TerminalTable:
-    """A table of one group; ``wide`` columns hold words, and their lines may end."""
+    """Return a table of one group for the terminal.
+
+    Lines of its first and last column may end where ``wrapped``; else intervals stand below means.
+    """
     try:
         from rich.box import SIMPLE_HEAD
         from rich.table import Table as TerminalTable
@@ -104,9 +107,11 @@ def _terminal_table(
     made = TerminalTable(
         title=Text(title), caption=Text(table.caption), box=SIMPLE_HEAD, padding=(0, 1)
     )
+    wide = {0, len(table.columns) - 1} if wrapped else set()
     for i, heading in enumerate(table.columns):
         left = i < table.left or i in wide
         made.add_column(heading, justify="left" if left else "right", no_wrap=i not in wide)
     for row in table.groups[0].rows:
-        made.add_row(*map(Text, row.cells), style="bold" if bold(row) else "")
+        cells = row.cells if wrapped else [cell.replace(" [", "\n[") for cell in row.cells]
+        made.add_row(*map(Text, cells), style="bold" if bold(row) else "")
     return made

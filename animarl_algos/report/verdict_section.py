@@ -8,7 +8,7 @@ from typing import Any
 
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.realism import REFERENCES
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
@@ -129,32 +129,16 @@ def _asked(row: Any) -> str:
 
 
 def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
-    """Yield the table, figures of the classifier, realism and energy scores."""
+    """Yield the table, figures of the classifier and realism."""
     say = words.say
     yield verdict_as_table(verdict, words)
     yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
     yield from _realism_tables(verdict, words)
-    energies = verdict.table[verdict.table["energy"].notna()]
-    if len(energies):
-        yield tabulate(
-            "Energy score",
-            {
-                "Question": _asked,
-                "Energy score": lambda row: number(row["energy"]),
-                "other starts": lambda row: number(row["energy_pooled"]),
-            },
-            [("", (row for _, row in energies.iterrows()))],
-            "Mean energy score per start (continuous ranked probability score; the smaller the "
-            "better, unbiased), which a simulator cannot lower by always returning the same value. "
-            "Beside it the score of the demonstrations of all other starts, taken as if they were "
-            "rollouts: below it, the simulator knows something of its start.",
-            folded="Energy score",
-        )
 
 
 def verdict_as_table(verdict: Verdict, words: Words) -> Table:
     """Return one row per question, those that find nothing faint."""
-    judges = {AUC: verdict.auc, SEQUENCE: verdict.sequence}
+    judges = {key: verdict.area(key) for key in (AUC, SEQUENCE)}
 
     def scaled(key: str) -> Any:
         return lambda row: number(_scale(row)[0] * row[key])
@@ -228,7 +212,7 @@ def _realism_tables(verdict: Verdict, words: Words) -> Iterator[Table]:
 
     columns = {
         "Weight": lambda row: number(row["weight"], 2),
-        "Score\n[95 %]": lambda row: with_interval(Interval(row["score"], row["low"], row["high"])),
+        "Score\n[95 %]": lambda row: with_interval(interval(row, "score")),
         **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
     }
     whole: list[Any] = []
@@ -267,8 +251,8 @@ def _classifier_caption(verdict: Verdict) -> str:
         f"Left: how often boosted trees, shown {WINDOW:g} s of motion of a demonstration that they "
         "were not trained on, rank the simulated above the recorded: 0.5 is chance. Beside it "
         "demonstrations among themselves, and, where they were rolled out, the demonstrations as "
-        "the fitted locomotion follows them (an estimate of what it allows), the same with one "
-        "action in ten at random, and random actions. Right: "
+        "the fitted locomotion follows them (an estimate of what it allows), and random actions. "
+        "Right: "
         f"by how much the area falls when one kind of feature is shuffled.{parts}"
     )
 
@@ -279,7 +263,6 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
         method_label(verdict.learner): verdict.auc,
         "demonstrations among themselves": beside.get("among", UNDEFINED),
         "closed-loop tracking": beside.get("floor", UNDEFINED),
-        "... one action in ten at random": beside.get("perturbed", UNDEFINED),
         "random": beside.get("ceiling", UNDEFINED),
     }
     shown = {name: area for name, area in areas.items() if math.isfinite(area.estimate)}

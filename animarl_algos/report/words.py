@@ -1,4 +1,4 @@
-"""Numbers and words of a report: units, digits, what demonstrations are called, a glossary.
+"""Numbers and words of a report: units, digits, what demonstrations are called.
 
 "Recorded" is said of recordings alone; what was generated is "demonstrated". Lengths are told in
 the unit of the recordings, or in arena units where nobody knows it.
@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.metrics import ARENA_UNITS, DTW, Metric
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
 from animarl_algos.report.style import is_recorded, method_label
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RECORDED_SCALE, Unit, unit_of
@@ -117,7 +115,11 @@ def with_interval(value: Interval, percent: bool = False) -> str:
     parts = [scale * part for part in (value.estimate, value.low, value.high)]
     if not math.isfinite(parts[1]):
         return number(parts[0])
-    decimals = 0 if percent else _decimals(parts[2] - parts[1], parts[0])
+    # Two digits of the interval's width, or three of the value if there is no width.
+    width, decimals = parts[2] - parts[1], 0
+    size, digits = (width, 2) if width > 0 else (abs(parts[0]), 3)
+    if size > 0 and not percent:
+        decimals = min(4, max(0, digits - 1 - math.floor(math.log10(size))))
     mean, low, high = (_fixed(part, decimals) for part in parts)
     return f"{mean} [{low}, {high}]"
 
@@ -126,14 +128,6 @@ def _fixed(value: float, decimals: int) -> str:
     """So many decimals, a true minus sign, and no negative zero."""
     text = f"{value:.{decimals}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
-
-
-def _decimals(width: float, value: float) -> int:
-    """Two digits of the interval's width, or three of the value if there is no width."""
-    scale, digits = (width, 2) if width > 0 else (abs(value), 3)
-    if scale <= 0:
-        return 0
-    return min(4, max(0, digits - 1 - math.floor(math.log10(scale))))
 
 
 # -- sentences ------------------------------------------------------------------------------------
@@ -169,57 +163,3 @@ def listed(names: list[str]) -> str:
 def capitalised(text: str) -> str:
     """Return the text with a capital at its start, and the rest as it is."""
     return text[:1].upper() + text[1:]
-
-
-# -- glossary -------------------------------------------------------------------------------------
-
-RECIPES = {
-    "BC": "Behaviour cloning: the network learns to take the demonstrated action.",
-    "SOFT-BC": "Behaviour cloning that is told, instead of one action, how near each action comes "
-    "to the demonstrated movement.",
-    "DQN": "Deep Q-network: learns from the task's reward alone, by trying.",
-    "DQAAS": "Deep Q-learning with adaptive action supervision: besides the reward, the network is "
-    "taught the demonstrated action.",
-    "DQDIL": "Deep Q-learning with a distance-based imitation reward: paid for staying near the "
-    "demonstrated path (by dynamic time warping).",
-    "DQCIL": "DQDIL that also learns of two experimental conditions, so that it can be asked what "
-    "the other condition would do.",
-    "PT": "After a recipe's name: pretrained on demonstrations before it begins to act.",
-    "QR": "Before a recipe's name: the network learns quantiles of the return, not only its mean.",
-    "untrained": "The same network before training.",
-    "random": "Every action equally often.",
-}
-TERMS = {
-    "AUC": "Area under the ROC curve: how often a classifier ranks a simulated window above a "
-    "demonstrated one. 0.5 is chance: it cannot tell them apart. 1 is always.",
-    "Advantage": "What one action is worth beyond the mean of all actions in that state.",
-    "DTW": "Dynamic time warping: the distance between two paths after the best alignment in time, "
-    "summed along it.",
-    "Energy score": "How far simulated values are from the demonstrated one, less how far they are "
-    "from each other; the smaller the better. Returning always the same value does not lower it.",
-    "Interval": "In brackets, 95 %: how far the estimate might be off by the choice of "
-    "demonstrations (and training seeds, where there are several).",
-    "KDE": "Kernel-density distance: the area between two smoothed histograms, from 0 (the same) "
-    "to 2 (disjoint).",
-    "Null": "How large a distance becomes by chance alone, were the simulator perfect.",
-    "Q": "Action value: the return that the network expects if it takes an action now.",
-    "Rollout": "One simulated episode, begun where a demonstration begins.",
-    "Start": "The first moment of a demonstration: places and velocities of everybody.",
-    "Wasserstein": "Wasserstein distance: how far values must be moved, on average, to turn one "
-    "distribution into the other; in the values' own unit.",
-}
-WRITTEN = {"KDE": "(KDE|kernel-density)", "Q": "(?-i:Q)"}
-"""Regular expressions of terms that a page writes in another way."""
-
-
-def glossary(methods: Iterable[str], page: str) -> list[tuple[str, str]]:
-    """Return the terms of a page of HTML, drawings apart, and the recipes among its methods."""
-    text = re.sub(r"<svg.*?</svg>|<[^>]+>", " ", page, flags=re.DOTALL)
-    parts = {part.casefold() for name in methods for part in (name, *name.split("-"))}
-    used = {name: told for name, told in RECIPES.items() if name.casefold() in parts}
-    used |= {
-        term: told
-        for term, told in TERMS.items()
-        if re.search(rf"\b{WRITTEN.get(term, term)}s?\b", text, re.IGNORECASE)
-    }
-    return sorted(used.items(), key=lambda item: item[0].casefold())

@@ -14,11 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
-from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
@@ -27,7 +25,7 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
 from animarl_algos.runs.folds import all_tested, joined_rollouts, joined_tracking, trained_folds
-from animarl_algos.runs.run import DECISIONS, Run, method_name
+from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -48,20 +46,13 @@ INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 
 def roll_out(run: Run) -> dict[str, Rollouts]:
-    """Roll out every method from each test demonstration's start; write what the learner values.
+    """Roll out every method from each test demonstration's start.
 
     Where the learners see the condition, trained ones are also told the other one, in the same
     world: the counterfactual.
     """
     learner = run.trained(run.settings.algo)
     policies = _policies(run, learner)
-    decide_along(
-        learner.policy,
-        run.species,
-        run.demos.select(split="test"),
-        condition_flag=learner.layout.condition_flag,
-        focal=run.settings.focal,
-    ).save(run.path / DECISIONS)
     rollouts = {}
     for name, (policy, cue) in policies.items():
         cues = [cue]
@@ -114,31 +105,27 @@ def evaluate_rollouts(
 ) -> Evaluation:
     """Return rollouts measured and compared with the test recordings of a run.
 
-    Beside them stand the recordings as the fitted locomotion follows them, as they are and with one
-    action in ten at random. ``demos`` are others to compare with, whose starts ``rollouts`` had;
-    ``folds`` those of a cross-validation, in which all recordings are tested.
+    Beside them stand the recordings as the fitted locomotion follows them. ``demos`` are others to
+    compare with, whose starts ``rollouts`` had; ``folds`` those of a cross-validation, in which all
+    recordings are tested.
     """
     known, species = run.demos, run.species
     test: Demonstrations | None = demos
     others: Demonstrations | None = known
     if folds:
         test, others = all_tested(known), None
-        floor, perturbed = (joined_tracking(folds, share, seed) for share in (0.0, 0.1))
+        floor = joined_tracking(folds)
     else:
         if test is None:
             test = known.select(split="test")
             others = known.select(episodes=np.flatnonzero(known.split != "test"))
-        floor, perturbed = (
-            track(test, species.locomotion, species.arena, random_share=share, seed=seed)
-            for share in (0.0, 0.1)
-        )
+        floor = track(test, species.locomotion, species.arena)
     return evaluate(
         rollouts,
         test,
         seed=seed,
         planned_flip=species.planned_flip,
         floor=floor,
-        perturbed=perturbed,
         learner=learner,
         references=others,
     )
@@ -393,17 +380,13 @@ def report_inputs(
     folds: int = 0,
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
-    demos, first, known = runs.demos, runs.first, runs.page_inputs()
-    along = first.path / DECISIONS
+    demos, known = runs.demos, runs.page_inputs()
     return ReportInputs(
         title=f"{runs.species.title}: {', '.join(runs.methods)}",
         learner=next(iter(runs.methods)),
         demos=demos.select(split="test") if test is None else test,
         rollouts=rollouts,
         evaluation=evaluation,
-        fit=first.fit,
-        decisions=Decisions.load(along) if test is None and along.exists() else None,
-        learning_curves=pd.concat([run.learning_curves() for run in runs.runs], ignore_index=True),
         settings={"world": known["world"], "environment": known["environment"], **settings},
         seeds=tuple(sorted({run.settings.seed for run in runs.runs})),
         command=command,

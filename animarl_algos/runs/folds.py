@@ -99,7 +99,7 @@ def joined_rollouts(folds: Sequence[Run]) -> dict[str, Rollouts]:
     return {name: Rollouts.concatenate(some) for name, some in parts.items()}
 
 
-def joined_tracking(folds: Sequence[Run], random_share: float = 0.0, seed: int = 0) -> Tracking:
+def joined_tracking(folds: Sequence[Run]) -> Tracking:
     """Follow every recording by the locomotion that was fitted without it."""
     demos = folds[0].demos
     paths, speeds = np.empty_like(demos.positions), np.empty_like(demos.positions)
@@ -107,10 +107,7 @@ def joined_tracking(folds: Sequence[Run], random_share: float = 0.0, seed: int =
     for fold in folds:
         own, species = fold.demos, fold.species
         frames = np.repeat(own.split == "test", own.lengths)
-        found = track(
-            own.select(split="test"), species.locomotion, species.arena,
-            random_share=random_share, seed=seed,
-        )  # fmt: skip
+        found = track(own.select(split="test"), species.locomotion, species.arena)
         paths[frames], speeds[frames], actions[frames] = (
             found.positions, found.velocities, found.actions
         )  # fmt: skip

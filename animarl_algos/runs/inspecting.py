@@ -69,9 +69,9 @@ def inspect_episode(folder: str | Path, episode: int) -> Inspected:
         model.policy,
         run.species,
         test,
+        episode,
         condition_flag=model.layout.condition_flag,
         focal=run.settings.focal,
-        demo=episode,
     )
     measured = [measure(one, test) for one in ({recording.method: recording} | rollouts).values()]
     return Inspected(

@@ -75,7 +75,6 @@ if TYPE_CHECKING:
     from animarl_algos.whatif.answer import WhatIf
 
 DEMONSTRATIONS = "demonstrations.npz"
-DECISIONS = Path("rollouts", "decisions.npz")
 
 
 class Run:
@@ -473,8 +472,8 @@ class Run:
         InputError
             If the run has no rollouts yet, or a file is damaged.
         """
-        own, folder = method_name(self.settings.algo), self.path / DECISIONS.parent
-        files = {f.stem: f for f in sorted(folder.glob("*.npz")) if f.name != DECISIONS.name}
+        own = method_name(self.settings.algo)
+        files = {f.stem: f for f in sorted((self.path / "rollouts").glob("*.npz"))}
         if own not in files:
             raise InputError(
                 f"{self.path}: it has no rollouts yet: add them with 'animarl evaluate {self.path}'"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.report import style
 from animarl_algos.report.inputs import PageInputs

@@ -26,7 +26,6 @@ def test_comparison_counts_what_it_says() -> None:
     pairs = pair_table(metrics, 20, rng, resamples=400)
     to_bc = row(pairs, first="DQDIL", second="BC", metric="duration", counting="all")
     assert to_bc["difference"] == pytest.approx(-1.0)
-    assert everything["wasserstein"] == pytest.approx(1.0)
     assert everything["kde"] > everything["kde_null"]
     captures = row(table, method="DQDIL", metric="duration", counting="captures")
     assert captures["rollouts"] == 16 and captures["demos"] == 8
@@ -219,6 +218,3 @@ def test_duration_and_outcome_stand_beside_dtw() -> None:
     table = comparison_table(metrics, 10, rng, resamples=100, distance_resamples=50)
     dtw = row(table, method="BC", metric="dtw", counting="all")
     assert dtw["duration"] == pytest.approx(1.0) and dtw["reached"] == pytest.approx(0.4)
-    floor = row(table, method="BC", metric="duration", counting="all")["kde_floor"]
-    assert floor == pytest.approx(0.01 * np.ptp([*recorded, 1.0]))
-    assert np.isnan(row(table, method="recorded", metric="duration", counting="all")["kde_floor"])

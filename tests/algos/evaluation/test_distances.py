@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from animarl_algos.evaluation.distances import (
-    bootstrap_distances,
+    bootstrap_kde,
+    densities,
     energy_cells,
     energy_score,
     energy_scores,
     kde_distance,
-    kde_floor,
-    kde_rule,
-    kde_weighted,
+    kde_grid,
     pooled_score,
     recorded_null,
     wasserstein,
@@ -48,20 +47,18 @@ def test_kde_distance_equals_scipys_densities_integrated() -> None:
 
 def test_the_grid_reaches_four_of_the_widest_bandwidths_beyond_the_values() -> None:
     """By hand: (0, 2) has the standard deviation sqrt(2); one value has the least width."""
-    rule = kde_rule([0.0, 2.0], [10.0])
-    assert rule is not None
+    grid, widths = kde_grid([0.0, 2.0], [10.0]) or (np.zeros(0), [])
     widest = 2.0**0.5 * 2.0**-0.2
-    assert rule.floor == pytest.approx(0.01 * 10.0)
-    assert len(rule.grid) == 512
-    assert rule.grid[[0, -1]] == pytest.approx([-4.0 * widest, 10.0 + 4.0 * widest])
-    narrow = kde_rule([0.0], [10.0])
-    assert narrow is not None
-    assert narrow.grid[[0, -1]] == pytest.approx([-0.4, 10.4])
+    assert widths == pytest.approx([widest, 0.01 * 10.0])
+    assert len(grid) == 512
+    assert grid[[0, -1]] == pytest.approx([-4.0 * widest, 10.0 + 4.0 * widest])
+    narrow, _ = kde_grid([0.0], [10.0]) or (np.zeros(0), [])
+    assert narrow[[0, -1]] == pytest.approx([-0.4, 10.4])
 
 
 def test_values_that_differ_by_rounding_alone_are_equal() -> None:
-    assert kde_rule([0.0], [1e-10]) is None and kde_rule([1e6], [1e6 + 1e-4]) is None
-    assert kde_rule([0.0], [1e-8]) is not None and kde_rule([1e6], [1e6 + 1e-2]) is not None
+    assert kde_grid([0.0], [1e-10]) is None and kde_grid([1e6], [1e6 + 1e-4]) is None
+    assert kde_grid([0.0], [1e-8]) is not None and kde_grid([1e6], [1e6 + 1e-2]) is not None
 
 
 def test_kde_distance_of_very_small_samples() -> None:
@@ -100,21 +97,19 @@ def test_kde_distance_of_a_peak_to_a_spread() -> None:
 
 def test_distances_of_nothing_are_undefined() -> None:
     assert np.isnan(kde_distance([], [1.0, 2.0])) and np.isnan(wasserstein([np.nan], [1.0]))
-    nothing = bootstrap_distances([np.nan], [1.0], [0], [0], np.random.default_rng(0))
-    assert np.isnan([one.estimate for one in nothing]).all()
+    nothing = bootstrap_kde([np.nan], [1.0], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing.estimate)
 
 
-def test_binned_density_equals_the_exact_one() -> None:
+def test_weighted_densities_are_those_of_repeated_values() -> None:
     rng = np.random.default_rng(14)
-    sample, other = rng.normal(size=80), rng.normal(4, 0.5, 20)
-    rule = kde_rule(sample, other)
-    assert rule is not None
+    sample, grid = rng.normal(size=80), np.linspace(-5.0, 5.0, 101)
     weights = draw_weights(rng, len(sample), 10)
-    fast = kde_weighted(rule, sample, weights)
+    drawn = densities(grid, 0.3, sample, weights)
     for b in range(10):
-        drawn = np.repeat(sample, weights[b].astype(int))
-        exact = stats.gaussian_kde(drawn)(rule.grid)
-        assert np.abs(fast[b] - exact).sum() * rule.step < 5e-3
+        repeated = np.repeat(sample, weights[b].astype(int))
+        exact = stats.gaussian_kde(repeated, 0.3 / repeated.std(ddof=1))(grid)
+        assert drawn[b] == pytest.approx(exact)
 
 
 def test_wasserstein_equals_scipy() -> None:
@@ -143,40 +138,28 @@ def test_weighted_wasserstein_equals_scipy() -> None:
 
 def test_one_demonstration_leaves_nothing_to_resample() -> None:
     rng = np.random.default_rng(19)
-    simulated = rng.normal(size=30)
-    both = bootstrap_distances(simulated, [2.0], np.full(30, 7), np.zeros(30, dtype=int), rng, 20)
-    assert both[1].estimate == pytest.approx(np.abs(simulated - 2.0).mean())
-    for found in both:
-        assert np.isfinite(found.estimate) and np.isnan(found.low)
-        assert found.reason.startswith("one demonstration")
-
-
-def test_the_bandwidth_floor_is_told_where_it_acts() -> None:
-    rng = np.random.default_rng(20)
-    assert np.isnan(kde_floor(rng.normal(size=30), rng.normal(size=30)))
-    assert kde_floor(np.full(30, 14.8), [4.8, 9.0, 14.8]) == pytest.approx(0.1)
-    assert np.isnan(kde_floor([], [1.0])) and np.isnan(kde_floor([1.0, 1.0], [1.0]))
+    found = bootstrap_kde(
+        rng.normal(size=30), [2.0], np.full(30, 7), np.zeros(30, dtype=int), rng, 20
+    )
+    assert np.isfinite(found.estimate) and np.isnan(found.low)
+    assert found.reason.startswith("one demonstration")
 
 
 def test_what_does_not_count_leaves_the_distances_alone() -> None:
     simulated, demo = np.array([1.0, np.nan, 2.0, 4.0]), np.array([0, 1, 2, 1])
     recorded = np.array([0.0, 5.0, np.nan])
-    kde, distance = bootstrap_distances(
-        simulated, recorded, [3, 3, 8, 8], demo, np.random.default_rng(0)
-    )
-    assert distance.estimate == pytest.approx(wasserstein([1.0, 2.0, 4.0], [0.0, 5.0]))
+    kde = bootstrap_kde(simulated, recorded, [3, 3, 8, 8], demo, np.random.default_rng(0))
     assert kde.estimate == pytest.approx(kde_distance([1.0, 2.0, 4.0], [0.0, 5.0]))
-    nothing = bootstrap_distances([1.0], [np.nan], [0], [0], np.random.default_rng(0))
-    assert np.isnan(nothing[1].estimate)
+    nothing = bootstrap_kde([1.0], [np.nan], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing.estimate)
 
 
-def test_bootstrap_distances_surround_a_large_distance() -> None:
+def test_the_bootstrap_surrounds_a_large_distance() -> None:
     rng = np.random.default_rng(17)
     demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
     recorded = rng.normal(size=30)
     simulated = recorded[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
-    kde, distance = bootstrap_distances(simulated, recorded, seed, demo, rng, 400)
-    assert distance.low < 2.0 < distance.high
+    kde = bootstrap_kde(simulated, recorded, seed, demo, rng, 400)
     assert kde.low < kde.estimate < kde.high < 2.0
 
 

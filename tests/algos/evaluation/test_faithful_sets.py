@@ -44,7 +44,6 @@ def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
     return Verdict(
         table=pd.DataFrame([row | words]), words=(SAME,), learner="soft-bc",
         starts=5, rollouts=250, importance={},
-        auc=Interval(auc, auc - 0.05, auc + 0.05),
         areas={"auc": {"among": Interval(among, 0.4, 0.6), "floor": Interval(floor, floor, floor)}},
     )  # fmt: skip
 

@@ -29,7 +29,8 @@ def recorded_and_simulated(
 
 
 def score_of(recorded: Demonstrations, rollouts: Rollouts) -> float:
-    return realism(Prepared(recorded), rollouts, np.random.default_rng(0)).score.estimate
+    found = realism(Prepared(recorded), rollouts, np.random.default_rng(0))
+    return float(found["score"].iloc[-1])
 
 
 def standing_still(rollouts: Rollouts) -> Rollouts:
@@ -75,7 +76,7 @@ def test_who_stands_still_has_the_least_likely_turns() -> None:
     """It has no turns at all, which is no reason to call all turns equally likely."""
     recorded, perfect = recorded_and_simulated(PAIR, 20, seed=5)
     true, still = (
-        realism(Prepared(recorded), one, np.random.default_rng(0)).table.set_index("component")
+        realism(Prepared(recorded), one, np.random.default_rng(0)).set_index("component")
         for one in (perfect, standing_still(perfect))
     )
     assert still.loc["turning", "score"] < 0.01 < 0.1 < true.loc["turning", "score"]
@@ -84,25 +85,25 @@ def test_who_stands_still_has_the_least_likely_turns() -> None:
 def test_realism_stands_between_its_references() -> None:
     recorded, perfect = recorded_and_simulated(CHASE, 20, seed=3)
     found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
-    total = found.table.iloc[-1]
-    assert total["kind"] == "total" and total["score"] == found.score.estimate
+    total = found.iloc[-1]
+    assert total["kind"] == "total"
     assert total[OTHERS] < total["score"] < total[CEILING] <= 1.0
-    assert found.score.low < found.score.estimate < found.score.high
-    kinds = found.table[found.table["component"].eq("") & found.table["kind"].ne("total")]
+    assert total["score_low"] < total["score"] < total["score_high"]
+    kinds = found[found["component"].eq("") & found["kind"].ne("total")]
     assert dict(zip(kinds["kind"], kinds["weight"])) == pytest.approx(dict(WEIGHTS))
 
 
 def test_realism_of_one_recording_and_of_recordings_that_merely_end() -> None:
     recorded, perfect = recorded_and_simulated(PAIR, 1, seed=4)
     found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
-    assert OTHERS not in found.table and np.isnan(found.score.low)
+    assert OTHERS not in found and np.isnan(found["score_low"].iloc[-1])
     cut = Prepared(replace(recorded, outcome=np.full(1, UNFINISHED)))
-    ending = realism(cut, perfect, np.random.default_rng(0)).table
+    ending = realism(cut, perfect, np.random.default_rng(0))
     rows = ending.set_index("component")
     assert "outcome" not in rows.index  # nothing is known of how it would have ended
     assert rows.loc["duration", "score"] == pytest.approx((EACH + 0.1) / (EACH + 0.2))
     short = dying_early(perfect)
-    ended = realism(cut, short, np.random.default_rng(0)).table
+    ended = realism(cut, short, np.random.default_rng(0))
     assert ended.set_index("component").loc["duration", "score"] == pytest.approx(
         0.1 / (EACH + 0.2)
     )

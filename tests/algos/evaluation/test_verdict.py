@@ -204,14 +204,11 @@ def test_worse_than_untrained_is_said_only_where_it_holds() -> None:
 def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
     demos, others = recorded_pairs(), recorded_pairs(seed=9)
     slow, still = (simulated_pairs(demos, kind) for kind in ("slow", "still"))
-    rough = np.random.default_rng(0).normal(0.0, 0.05, demos.positions.shape)
-    shaken = replace(demos, positions=demos.positions + rough)
-    found = verdict(demos, slow, seed=0, floor=demos, perturbed=shaken, baselines={"random": still})
+    found = verdict(demos, slow, seed=0, floor=demos, baselines={"random": still})
     below = str(verdict_table(found).caption)
     assert "The classifier's AUC is 0.500 [0.500, 0.500] for closed-loop tracking" in below
     assert "] for random actions." in below and "The AUC of order is" in below
     assert "tracking" not in str(verdict_table(judged("slow")).caption)
-    assert found.areas["auc"]["perturbed"].estimate > 0.9
     assert found.floor.estimate == 0.5  # tracked without any error
     assert found.areas["auc"]["ceiling"].estimate > 0.95
     assert set(found.areas["auc_sequence"]) == {"among", "floor", "ceiling"}
@@ -248,7 +245,6 @@ def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
         "Verdict",
         "Realism",
         "Realism by component",
-        "Energy score",
     ]
     rows = [row for table in tables for group in table.groups for row in group.rows]
     assert not any("nan" in cell for row in rows for cell in row.cells)
@@ -365,19 +361,18 @@ def test_a_perfect_simulator_falls_inside_its_null_in_95_percent(shared: float) 
     rng = np.random.default_rng(7)
     starts, each, experiments = 12, 3, 300
     demo = np.repeat(np.arange(starts), each)
-    inside = np.zeros(3)
+    inside = np.zeros(2)
     for _ in range(experiments):
         centre = shared * rng.normal(size=starts)  # what a start decides of the value
         drawn = np.exp(np.concatenate([centre, centre[demo]]) / 3 + rng.normal(size=48))
         exchanges = Exchanges.draw(demo, starts, rng, 99)
         inside += [
-            exchanges.wasserstein(drawn).inside,
-            exchanges.difference(drawn).inside,
+            exchanges.kde(drawn)[1] > 0.05,
             exchanges.chi_squared(np.digitize(drawn, [0.5, 2.0])).inside,
         ]
     share = inside / experiments
     assert (share >= 0.92).all()
-    assert (share[:2] <= 0.985).all()  # counts tie, so the test of shares may be more careful
+    assert share[0] <= 0.985  # counts tie, so the test of shares may be more careful
 
 
 @pytest.mark.parametrize("count_copies", [False, True])
@@ -386,15 +381,14 @@ def test_what_always_does_the_same_is_one_rollout_a_start(count_copies: bool) ->
     starts, each, experiments = 20, 5, 300
     demo = np.repeat(np.arange(starts), each)
     copies = None if count_copies else np.tile(np.arange(each) > 0, starts)
-    outside = np.zeros(3)
+    outside = np.zeros(2)
     for _ in range(experiments):
         centre = rng.normal(size=starts)  # what a start decides of the value
         recorded, simulated = centre + rng.normal(size=(2, starts))
         both = np.concatenate([recorded, simulated[demo]])
         exchanges = Exchanges.draw(demo, starts, rng, 99, copies=copies)
         outside += [
-            not exchanges.wasserstein(both).inside,
-            not exchanges.difference(both).inside,
+            exchanges.kde(both)[1] <= 0.05,
             not exchanges.chi_squared(np.digitize(both, [-1.0, 1.0])).inside,
         ]
     share = outside / experiments
@@ -430,5 +424,5 @@ def test_recordings_without_rollouts_are_left_out() -> None:
     rng = np.random.default_rng(9)
     exchanges = Exchanges.draw([0, 0, 2], 3, rng, 5)
     values = np.array([1.0, 1e9, 1.0, 1.0, 1.0, 1.0])
-    assert exchanges.wasserstein(values).value == 0.0
+    assert exchanges.kde(values)[1] == 1.0
     refuses("recordings 0 to 2", Exchanges.draw, [3], 3, rng)

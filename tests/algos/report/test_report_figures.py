@@ -4,15 +4,12 @@ import re
 from xml.etree import ElementTree
 
 import numpy as np
-import pandas as pd
 
 from animarl_algos.evaluation.decisions import Decisions
-from animarl_algos.report.figures import chosen_curves, shared_bins
 from animarl_algos.report.path_figures import (
     Stage,
     bar_length,
     path_panels,
-    value_map,
     values_along_path,
 )
 from animarl_algos.report.style import looks, new_figure, to_image
@@ -23,48 +20,10 @@ from animarl_envs.demos.summary import Unit
 MM = Unit("mm", 4.0)
 
 
-def test_bins_are_shared_and_hold_everything() -> None:
+def test_values_are_drawn_along_a_path() -> None:
     rng = np.random.default_rng(0)
-    first, second = rng.exponential(size=500), rng.exponential(2.0, size=90)
-    edges = shared_bins(first, second)
-    assert edges[0] == 0.0 and edges[-1] == max(first.max(), second.max())
-    assert len(shared_bins(np.zeros(5), np.zeros(3))) == 51
-    assert np.histogram(first, edges)[0].sum() == 500
-
-
-def test_learning_curves_are_chosen_and_named() -> None:
-    logged = [
-        ("bc", "offline/val/top_1"), ("bc", "offline/val/top_1/prey"),
-        ("dqdil", "offline/val/top_1"), ("dqdil", "offline/train/td"),
-        ("dqdil", "offline/train/td/prey"), ("dqdil", "offline/train/td/predator_0"),
-        ("dqdil", "offline/train/l2"), ("dqdil", "offline/odd_one"),
-    ]  # fmt: skip
-    rows = [(method, 0, step, name, 1.0) for method, name in logged for step in range(3)]
-    curves = pd.DataFrame(rows, columns=["method", "seed", "step", "quantity", "value"])
-    chosen = chosen_curves(curves, "DQDIL")
-    shown = {title: sorted(rows["method"].unique()) for title, rows in chosen.items()}
-    assert shown == {
-        "Demonstrated action first (share)": ["bc", "dqdil"],
-        "Temporal-difference loss": ["predator_0", "prey"],
-        "odd_one": ["dqdil"],
-    }
-    assert list(shown)[-1] == "odd_one"
-    assert [len(rows) for rows in chosen.values()][:2] == [6, 6]
-
-
-def test_values_are_drawn_along_a_path_and_over_the_arena() -> None:
-    rng = np.random.default_rng(0)
-    decisions = Decisions(
-        individual="predator", demo=0, q=rng.normal(size=(30, 13)),
-        actions=rng.integers(-1, 13, 30), moment=15, x=np.linspace(-1, 1, 20),
-        y=np.linspace(-1, 1, 15), map_q=rng.normal(size=(15, 20, 13)),
-        focus=np.tile([1.0, 0.0], (15, 20, 1)), others=np.array([[0.5, 0.5], [0.0, 0.0]]),
-    )  # fmt: skip
+    decisions = Decisions("predator", 0, rng.normal(size=(30, 13)), rng.integers(-1, 13, 30))
     assert "Advantage" in to_image(values_along_path(decisions, 0.1), "values").drawing
-    roles, names = ("pursuer", "pursuer", "target"), ("predator", "other", "prey")
-    stage = Stage(Arena("disc"), roles, names, Words(unit=MM))
-    drawn = to_image(value_map(decisions, stage, 0.1), "map").drawing
-    assert drawn.startswith("<svg") and "x (mm)" in drawn
 
 
 def test_a_drawing_stands_in_a_page_and_alone() -> None:

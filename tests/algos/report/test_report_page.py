@@ -12,7 +12,7 @@ from report_inputs import report_page
 
 from animarl_algos.report.page import SCRIPTS, TEMPLATES
 from animarl_algos.report.style import COLOURS, FLOOR, PAGE, PURSUERS, RAISED, TARGET, TEXTS, themed
-from animarl_envs.drawing.palette import RGB, to_hex
+from animarl_envs.drawing.palette import RGB
 
 MOST = 6_000_000  # bytes of a page
 GROUNDS = (PAGE, RAISED, FLOOR)
@@ -175,7 +175,7 @@ def test_colours_stand_in_one_table() -> None:
     plain = {
         found for drawing in drawings for found in re.findall(r"(?<!, )#[0-9a-f]{6}\b", drawing)
     }
-    assert plain <= {to_hex((254, 254, 254))}
+    assert not plain
 
 
 def test_a_drawing_takes_the_pages_colours() -> None:
@@ -191,12 +191,3 @@ def test_nothing_is_printed_as_none_or_nan(page: Page) -> None:
     for text in page.texts:
         assert not re.search(r"\b(None|nan|NaN|inf|undefined)\b", text), text
     assert "not set" in page.texts  # an option that is absent
-
-
-def test_the_page_explains_and_cites(page: Page) -> None:
-    whole = "\n".join(page.texts)
-    for term in ("Energy score", "AUC", "DQCIL", "BC", "random", "Wasserstein"):
-        assert term in page.texts
-    assert "DQN" not in page.texts  # no rollouts of it here
-    assert "Simulations were made with AnimaRL" in whole and "@article{fujii_simulator" in whole
-    assert "licence of the data: MIT" in whole and "commit 0123456789ab" in whole

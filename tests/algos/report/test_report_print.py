@@ -73,7 +73,7 @@ def test_pages_break_where_nothing_is_parted(
     }
     page.close()
     printed = pypdf.PdfReader(tmp_path / "page.pdf").pages
-    assert len(printed) > 2 and all(texts.values())
+    assert len(printed) > 1 and all(texts.values())
     whole = [lines(one) for one in printed]
     everything = "".join(line for one in whole for _, line in one)
     assert all(heading in everything for heading in texts[BEFORE] if len(heading) < 30)

@@ -7,7 +7,7 @@ from functools import cache
 import pandas as pd
 import pytest
 from html_page import Page
-from report_inputs import bare_inputs, locomotion_fit, make_demos, make_rollouts, rendered
+from report_inputs import bare_inputs, make_demos, make_rollouts, rendered
 
 from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.statistics import Interval
@@ -73,7 +73,7 @@ def measured(synthetic: bool) -> Demonstrations:
 def page_of(synthetic: bool) -> Page:
     demos = measured(synthetic)
     rollouts = {name: make_rollouts(demos, name) for name in ("bc", "random")}
-    return Page(rendered(bare_inputs(demos, rollouts, fit=locomotion_fit(demos.individuals))))
+    return Page(rendered(bare_inputs(demos, rollouts)))
 
 
 def test_only_recordings_are_called_recorded() -> None:
@@ -91,7 +91,7 @@ def test_lengths_are_told_in_the_unit_of_the_recordings(synthetic: bool) -> None
     texts = page_of(synthetic).texts
     whole = "\n".join(texts)
     assert "arena unit" not in whole
-    for told in ("Path length (mm)", "Speed (mm/s)", "DTW distance (mm)", "mm/s\u00b2", "2 mm"):
+    for told in ("Path length (mm)", "Speed (mm/s)", "Distance (mm)", "2 mm"):
         assert told in whole
     assert "None" not in whole and "not stated" in texts
 
@@ -117,15 +117,13 @@ def judged(words: tuple[str, ...], **row: float) -> Verdict:
     numbers = {"recorded": 3.0, "simulated": 2.0, "difference": -1.0, "difference_low": -1.5,
                "difference_high": -0.5, "distance": 1.0, "null": 0.4}  # fmt: skip
     told = {"measure": "path_length", "label": "Path length", "unit": "mm", "verdict": words[0]}
-    told |= {
-        "energy": float("nan"),
-        "energy_pooled": float("nan"),
-        "judgement": SAME if words == (SAME,) else DIFFERS,
-    }
-    table = pd.DataFrame([told | numbers | row])
+    told |= {"judgement": SAME if words == (SAME,) else DIFFERS}
+    judge = {"measure": "auc", "label": "AUC", "unit": "", "verdict": SAME, "judgement": SAME,
+             "simulated": 0.8, "difference": 0.3, "difference_low": 0.2, "difference_high": 0.4,
+             "reason": ""}  # fmt: skip
+    table = pd.DataFrame([told | numbers | row, judge])
     return Verdict(
-        table=table, words=words, learner="bc", starts=5, rollouts=10,
-        auc=Interval(0.8, 0.7, 0.9), importance={},
+        table=table, words=words, learner="bc", starts=5, rollouts=10, importance={},
     )  # fmt: skip
 
 

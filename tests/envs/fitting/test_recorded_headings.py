@@ -15,7 +15,6 @@ from small_runs import made
 from turned_bodies import SIDEWAYS, SLOW, recorded, species, turned, wanderers
 
 from animarl_algos import load_run
-from animarl_algos.evaluation.decisions import decide_along
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import first_of_role, join
 from animarl_envs.errors import InputError
@@ -24,7 +23,6 @@ from animarl_envs.fitting.turning import along_travel, fit_turning, heading_erro
 from animarl_envs.scenario import with_options
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.views.common import plain
-from animarl_envs.worlds.chase.world import demonstration_headings
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -162,26 +160,6 @@ def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -
     assert np.isfinite(rolled.positions).all()
     with pytest.raises(InputError, match="senses_heading changes what the policy is shown"):
         loaded.simulate(senses_heading=False)
-
-
-class Seen:
-    """A policy that values nothing and keeps what it was shown."""
-
-    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
-        self.last = np.asarray(observation)
-        memory = np.zeros((len(observation), 1)) if state is None else state[0]
-        return np.zeros((len(observation), 13)), memory, False
-
-
-def test_maps_of_values_are_made_with_the_headings_of_the_moment() -> None:
-    policy = Seen()
-    decisions = decide_along(policy, species(), recorded(), focal="dog_a", demo=0)
-    heading = demonstration_headings(species(), recorded())[decisions.moment, 0]
-    towards = np.arctan2(decisions.focus[..., 1], decisions.focus[..., 0]).ravel()
-    env = gym.make("AnimaRL/Custom-v0", demos=recorded(), observation="full")
-    names = [c.name for c in env.unwrapped.world.observation_components]  # type: ignore[attr-defined]
-    at = names.index("own heading cosine")
-    assert policy.last[:, at] == pytest.approx(np.cos(heading - towards), abs=1e-5)
 
 
 def test_the_program_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -285,8 +285,8 @@ def test_data_and_decisions_have_a_value_per_action() -> None:
         def advance(self, observation: Any, state: Any, episode_start: Any) -> Any:
             return np.zeros((len(observation), 37)), np.zeros((len(observation), 1)), False
 
-    decisions = decide_along(Flat(), species, few)
-    assert decisions.q.shape[1] == decisions.map_q.shape[2] == 37
+    decisions = decide_along(Flat(), species, few, 0)
+    assert decisions.q.shape[1] == 37
     labels = action_labels(37)
     assert labels[0] == "1: towards focus" and labels[15] == "2: right" and labels[36] == "coast"
     assert action_labels(13)[0] == "towards focus" and action_labels(13)[COAST] == "coast"

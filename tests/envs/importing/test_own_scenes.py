@@ -3,12 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 from small_runs import few, made
 
-from animarl_algos.evaluation.decisions import map_sides
-from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import Scaling
@@ -53,15 +50,3 @@ def test_inputs_of_networks_are_centred_and_scaled_in_any_unit(tmp_path: Path) -
     assert seen.mean(dim=1).abs().max() < 1.0  # mirrored chases count as well
     assert seen.std(dim=1)[moving].min() > 0.2
     assert 0.5 < float(seen.std(dim=1)[moving].median()) < 1.5
-
-
-def test_maps_of_values_cover_where_animals_went() -> None:
-    demos = imported((0.0, 0.0))
-    assert np.abs(demos.positions).min() > 0.4  # far from the middle
-    x, y = map_sides(Arena("open"), demos.positions)
-    for axis, side in enumerate((x, y)):
-        assert side[0] < demos.positions[..., axis].min()
-        assert side[-1] > demos.positions[..., axis].max()
-    assert np.ptp(x) == pytest.approx(np.ptp(y))
-    x, y = map_sides(Arena("square", size=2.0, boundary=2.2), demos.positions)
-    assert (x[0], x[-1], y[0], y[-1]) == (-2, 2, -2, 2)
