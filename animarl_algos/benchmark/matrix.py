@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from animarl_algos.benchmark.pieces import Cell, Clone, Piece, Scoring, World, write_json
+from animarl_algos.benchmark.pieces import Cell, Clone, FittedWorld, Piece, Scoring, write_json
 from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
@@ -226,7 +226,7 @@ class Plan:
     """Worlds first, then clones, cells, scores; within these any order gives the same."""
 
     matrix: Matrix
-    worlds: tuple[World, ...]
+    worlds: tuple[FittedWorld, ...]
     cells: tuple[Cell, ...]
     scorings: tuple[Scoring, ...]
 
@@ -297,13 +297,13 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
     for name in methods:
         if name in (*RECIPES, *matrix.references):
             raise InputError(f"--method {name}: there is a row of that name: choose another")
-    worlds: list[World] = []
+    worlds: list[FittedWorld] = []
     cells: list[Cell] = []
     with _naming(place):
         for data, folds in matrix.recorded().items():
             for number, demos in enumerate(folds):
                 fold = number if len(folds) > 1 else None
-                world = World(data, matrix.world_settings(data, demos), demos, fold)
+                world = FittedWorld(data, matrix.world_settings(data, demos), demos, fold)
                 worlds.append(world)
                 cells += _cells_in(world, matrix, methods)
         if not cells:
@@ -315,7 +315,7 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
     return Plan(matrix, tuple(worlds), tuple(cells), tuple(scorings))
 
 
-def _cells_in(world: World, matrix: Matrix, methods: Mapping[str, str]) -> Iterator[Cell]:
+def _cells_in(world: FittedWorld, matrix: Matrix, methods: Mapping[str, str]) -> Iterator[Cell]:
     demos = world.demos
     shared: dict[str, Any] = {
         "data": world.data, "repetitions": matrix.repetitions, "world": world.key,

@@ -30,7 +30,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -100,7 +100,7 @@ class MethodSetting:
         )
 
 
-class Checked:
+class CheckedPolicy:
     """A method that is asked for actions, every answer checked.
 
     The ``policy`` has ``predict`` as SB3 has it, or is a callable from observations ``(slots, n)``
@@ -253,7 +253,9 @@ def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> 
     if name == "random":
         return RandomPolicy(seed, species.num_actions)
     if name == "scripted":
-        return ProgrammedPolicy(species, seed) if isinstance(species, SearchSpecies) else Idle()
+        if isinstance(species, SearchSpecies):
+            return ProgrammedPolicy(species, seed)
+        return RandomPolicy(seed, species.num_actions)  # the world's script decides
     return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
 
 
@@ -308,13 +310,6 @@ def beside_fold(demos: Demonstrations) -> Demonstrations:
     return demos.select(split="val")
 
 
-class Idle(MemorylessPolicy):
-    """Action 0 for everybody, where the world's script decides."""
-
-    def act(self, observation: NDArray[np.floating]) -> Ints:
-        return np.zeros(len(observation), dtype=np.int64)
-
-
 class Steering(MemorylessPolicy):
     """The action after which the velocity is nearest to ``keep`` times what it is.
 
@@ -363,18 +358,6 @@ class ProgrammedPolicy:
         return state.act(observation[:, None]).ravel().astype(np.int64), state
 
 
-class Library(NamedTuple):
-    """The frames of one individual and condition.
-
-    ``frames`` ``(n,)`` are their places among all, ``scale`` ``(components,)`` makes what is
-    observed comparable.
-    """
-
-    tree: cKDTree
-    frames: Ints
-    scale: NDArray[np.float64]
-
-
 class NearestSegment:
     """The nearest recorded segment, replayed: the simulator that learns and forgets nothing.
 
@@ -391,14 +374,14 @@ class NearestSegment:
         self._actions = demonstrated_actions(train, species.locomotion).astype(np.int64)
         going = self._actions[:, 0] >= 0  # no last frame
         condition = np.repeat(train.condition, train.lengths)
-        self._libraries: dict[tuple[int, int], Library] = {}
+        # By individual and condition: the tree, its frames among all, the scale of each input.
+        self._libraries: dict[tuple[int, int], tuple[cKDTree, Ints, NDArray[np.float64]]] = {}
         for who in range(seen.shape[1]):
             spread = seen[going, who].std(axis=0)
             scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
             for of in np.unique(condition).tolist():
                 frames = np.flatnonzero(going & (condition == of))
-                tree = cKDTree(seen[frames, who] * scale)
-                self._libraries[who, of] = Library(tree, frames, scale)
+                self._libraries[who, of] = cKDTree(seen[frames, who] * scale), frames, scale
         self._name, self._individuals = demos.name, seen.shape[1]
         self._rng = np.random.default_rng(seed)
         self._steps = max(1, round(SEGMENT / species.dt))

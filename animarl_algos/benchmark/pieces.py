@@ -26,7 +26,7 @@ from filelock import FileLock
 from threadpoolctl import threadpool_limits
 
 from animarl_algos.benchmark.methods import (
-    Checked,
+    CheckedPolicy,
     MethodSetting,
     foreign,
     load_factory,
@@ -128,7 +128,7 @@ class Piece(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class World(Piece):
+class FittedWorld(Piece):
     """The fitted world of one set of demonstrations, or of a fold of it, where everybody acts."""
 
     STAGE, RESULT = "worlds", "locomotion.json"
@@ -167,13 +167,13 @@ class InWorld(Piece):
         return (_world_name(self.data, self.fold),)
 
     def lacks(self, out: Path) -> str:
-        there = (self.world_run(out).path / World.RESULT).exists()
+        there = (self.world_run(out).path / FittedWorld.RESULT).exists()
         return "" if there else f"the world of {self.data} could not be fitted"
 
     def _opened(self, settings: RunSettings, out: Path) -> Run:
         world = self.world_run(out)
         run = pipeline.open_run(settings, self.folder(out) / "run", COMMAND, world.demos)
-        shutil.copyfile(world.path / World.RESULT, run.path / World.RESULT)
+        shutil.copyfile(world.path / FittedWorld.RESULT, run.path / FittedWorld.RESULT)
         return run
 
 
@@ -278,7 +278,7 @@ class Cell(InWorld):
             setting, factory = MethodSetting.of(world, self.seed), load_factory(self.factory)
             with foreign(f"method {self.method}: its factory raised", "fix it"):
                 made = factory(setting)
-            policy = Checked(self.method, made, setting.species.num_actions)
+            policy = CheckedPolicy(self.method, made, setting.species.num_actions)
             told, scenario = bool(setting.environment().condition_flag), world.scenario
             parameters = parameters_of(made)
         else:

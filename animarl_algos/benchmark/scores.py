@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.distances import FEW_ROLLOUTS, energy_cells, pooled_score
-from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Episodes, Metric
+from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric, MetricInputs
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -193,7 +193,7 @@ def _score(
     if energies.counts.any():
         energy = bootstrap_mean(energies, draws)
     put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
-    own, other = (DTW_PER_STEP.measure(Episodes(side, test)) for side in (counted, beside))
+    own, other = (DTW_PER_STEP.measure(MetricInputs(side, test)) for side in (counted, beside))
     data, null = cells(own, counted.seed, counted.demo, len(test)), float(other.mean())
     dtw = bootstrap_mean(data, draws)
     put(DTW_PER_STEP.key, dtw, null, dtw.estimate <= null, DTW_PER_STEP.unit)

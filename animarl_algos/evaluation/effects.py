@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes, Metric
+from animarl_algos.evaluation.metrics import PATH_LENGTH, Metric, MetricInputs
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
     CONFIDENCE,
@@ -229,7 +229,7 @@ class _Effects:
         """The metric by seed and start, of starts of condition ``c``."""
         starts = self.demos.condition == c
         counts = starts[rollouts.demo] & (rollouts.captured | (counting == "all"))
-        values = self.metric.measure(Episodes(rollouts, self.demos))
+        values = self.metric.measure(MetricInputs(rollouts, self.demos))
         whole = cells(values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts)
         return Cells(whole.sums[:, starts], whole.counts[:, starts])
 

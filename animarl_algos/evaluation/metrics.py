@@ -27,8 +27,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.evaluation.windows import resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
-from animarl_envs.demos.episode import Episodes as Recorded
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, Episodes
 from animarl_envs.demos.summary import RECORDED_SCALE, RESTING_SHARE
 from animarl_envs.dtw import dtw_alignment
 from animarl_envs.errors import InputError
@@ -44,7 +43,7 @@ REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
 
 
 @dataclass(frozen=True, eq=False)
-class Episodes:
+class MetricInputs:
     """What metrics are worked out from: rollouts and the demonstrations they started from.
 
     Parameters
@@ -132,6 +131,9 @@ class Episodes:
         return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
 
 
+Measure = Callable[[MetricInputs], Floats]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Metric:
     """One number per episode.
@@ -174,7 +176,7 @@ class Metric:
     key: str
     label: str
     unit: str
-    measure: Callable[[Episodes], Floats]
+    measure: Measure
     share: bool = False
     of_recordings: bool = True
     planned: bool = False
@@ -272,7 +274,7 @@ DTW = Metric(
 
 
 def _of_verdict(
-    key: str, label: str, unit: str, measure: Callable[[Episodes], Floats], much: str, little: str,
+    key: str, label: str, unit: str, measure: Measure, much: str, little: str,
     **more: Any,
 ) -> Metric:  # fmt: skip
     """A metric that the verdict judges and the comparison of methods leaves out."""
@@ -299,7 +301,7 @@ def _of_order(
     )  # fmt: skip
 
 
-def _order_of(name: str) -> Callable[[Episodes], Floats]:
+def _order_of(name: str) -> Measure:
     return lambda episodes: episodes.order.column(name)
 
 
@@ -352,7 +354,7 @@ METRICS = [
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
 
 
-def judged_metrics(recorded: Recorded) -> list[Metric]:
+def judged_metrics(recorded: Episodes) -> list[Metric]:
     """Return the metrics that a verdict judges, of this kind of recordings: endings first.
 
     Of several lags, each has a metric.
@@ -376,12 +378,12 @@ def judged_metrics(recorded: Recorded) -> list[Metric]:
     return sorted(chosen, key=lambda metric: not metric.is_ending)
 
 
-def compared_metrics(recorded: Recorded) -> list[Metric]:
+def compared_metrics(recorded: Episodes) -> list[Metric]:
     """Return the metrics that methods are compared by, of this kind of recordings."""
     return [metric for metric in _of_kind(recorded) if metric.compared]
 
 
-def _of_kind(recorded: Recorded) -> list[Metric]:
+def _of_kind(recorded: Episodes) -> list[Metric]:
     kind = GROUP if recorded.is_group else ANIMAL if recorded.num_individuals == 1 else ""
     return [one for one in METRICS if one.about in ("", GOAL if recorded.has_goal else kind)]
 
@@ -457,7 +459,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             f"the rollouts of {rollouts.method} were not made from {demos.name}: "
             "evaluate them against the demonstrations they started from"
         )
-    episodes = Episodes(rollouts, demos)
+    episodes = MetricInputs(rollouts, demos)
     return pd.DataFrame(
         {
             "method": rollouts.method,

@@ -9,13 +9,13 @@ know (the area under the survival curve).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from animarl_algos.evaluation.metrics import Episodes, judged_metrics, slow_speeds
+from animarl_algos.evaluation.metrics import MetricInputs, judged_metrics, slow_speeds
 from animarl_algos.evaluation.order_in_time import (
     EpisodeMeasures,
     lags_for,
@@ -78,7 +78,8 @@ class Prepared:
         """Every judged metric of every episode, lengths in the recordings' unit."""
         grid, scale = self.demos.resolution(), self.unit.per_arena_unit
         reach = 0.0 if grid is None else grid.reach
-        episodes = Episodes(rollouts, self.demos, self.slow, reach, lambda: self.order(rollouts))
+        order = partial(self.order, rollouts)
+        episodes = MetricInputs(rollouts, self.demos, self.slow, reach, order)
         return {
             metric.key: (scale if metric.is_length else 1.0) * metric.measure(episodes)
             for metric in judged_metrics(self.demos)

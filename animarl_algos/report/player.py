@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.comparison import factual
-from animarl_algos.evaluation.metrics import DTW, PATH_LENGTH, Episodes
+from animarl_algos.evaluation.metrics import DTW, PATH_LENGTH, MetricInputs
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report import style
 from animarl_algos.report.inputs import (
@@ -286,7 +286,7 @@ def changed_starts(
     trained, number = next(iter(inputs.asked.values())).trained, inputs.demos.num_episodes
     means = []
     for rollouts in (trained.factual, trained.flipped):
-        lengths = PATH_LENGTH.measure(Episodes(rollouts, inputs.demos))
+        lengths = PATH_LENGTH.measure(MetricInputs(rollouts, inputs.demos))
         sums = np.bincount(rollouts.demo, weights=lengths, minlength=number)
         means.append(sums / np.bincount(rollouts.demo, minlength=number))
     starts = np.flatnonzero(inputs.demos.condition == condition)

@@ -21,7 +21,7 @@ from animarl_algos.benchmark.methods import (
     NEIGHBOURS,
     SEGMENT,
     TERMINATED,
-    Checked,
+    CheckedPolicy,
     MethodSetting,
     NearestSegment,
     Steering,
@@ -76,11 +76,11 @@ def make_nothing(setting: MethodSetting) -> Any:
 
 def test_benchmark_asks_predict_or_a_callable() -> None:
     seen = np.zeros((3, 2), dtype=np.float32)
-    by_call = Checked("mine", lambda observation: np.full(len(observation), 2.0), 13)
+    by_call = CheckedPolicy("mine", lambda observation: np.full(len(observation), 2.0), 13)
     assert by_call.predict(seen)[0].tolist() == [2, 2, 2]
-    assert Checked("mine", RandomPolicy(0), 13).predict(seen)[0].shape == (3,)
+    assert CheckedPolicy("mine", RandomPolicy(0), 13).predict(seen)[0].shape == (3,)
     with pytest.raises(InputError, match="no predict"):
-        Checked("mine", 3, 13)
+        CheckedPolicy("mine", 3, 13)
 
 
 def test_benchmark_counts_the_parameters_of_others() -> None:
@@ -111,12 +111,12 @@ def test_benchmark_lets_signals_through_somebody_elses_code() -> None:
 )
 def test_benchmark_refuses_actions(answer: Any, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        Checked("mine", lambda _: np.array(answer), 13).predict(np.zeros((3, 2)))
+        CheckedPolicy("mine", lambda _: np.array(answer), 13).predict(np.zeros((3, 2)))
 
 
 def test_benchmark_names_the_method_of_a_ragged_answer() -> None:
     with pytest.raises(InputError, match="method mine: its predict raised ValueError"):
-        Checked("mine", lambda _: [[1], [1, 2], 3], 13).predict(np.zeros((3, 2)))
+        CheckedPolicy("mine", lambda _: [[1], [1, 2], 3], 13).predict(np.zeros((3, 2)))
 
 
 def test_benchmark_looks_methods_up_at_once() -> None:

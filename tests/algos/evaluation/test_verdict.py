@@ -12,7 +12,7 @@ from refusals import refuses
 
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.exchange_test import Exchanges
-from animarl_algos.evaluation.metrics import METRICS, Episodes, judged_metrics, slow_speeds
+from animarl_algos.evaluation.metrics import METRICS, MetricInputs, judged_metrics, slow_speeds
 from animarl_algos.evaluation.order_in_time import KINEMATIC
 from animarl_algos.evaluation.prepared import Prepared, censored, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -308,7 +308,7 @@ def test_measures_of_a_known_path() -> None:
     one = replace(
         recorded.select(np.array([0])), positions=both, lengths=np.array([5]), outcome=[-2]
     )
-    episodes = Episodes(one, demos, slow=np.array([5.0, 5.0]))
+    episodes = MetricInputs(one, demos, slow=np.array([5.0, 5.0]))
     found = {metric.key: metric.measure(episodes) for metric in judged_metrics(demos)}
     assert set(found) < {metric.key for metric in METRICS}
     assert found["duration"][0] == pytest.approx(0.4)
