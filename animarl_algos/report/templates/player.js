@@ -60,7 +60,8 @@ class Player {
 
   draw() {
     const frame = Math.floor(this.frame);
-    this.stages.forEach((stage) => stage.draw(this.scene, frame));
+    const zoom = Number(this.find("zoom").value);
+    this.stages.forEach((stage) => stage.draw(this.scene, frame, zoom));
     const seconds = (steps) => (steps * this.data.dt).toFixed(1);
     const clock = `${seconds(frame)} of ${seconds(this.frames - 1)} s`;
     this.find("clock").textContent = clock;
@@ -102,6 +103,7 @@ class Player {
     on("before", "click", () => this.setScene(this.find("start").selectedIndex - 1));
     on("after", "click", () => this.setScene(this.find("start").selectedIndex + 1));
     on("start", "change", () => this.setScene(this.find("start").selectedIndex));
+    on("zoom", "change", () => this.draw());
     on("view", "change", () => this.setView(this.find("view").selectedIndex));
     on("player", "keydown", (event) => this.press(event));
     new ResizeObserver(() => this.draw()).observe(this.find("panels"));

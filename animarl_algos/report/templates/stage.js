@@ -42,8 +42,8 @@ class Stage {
     this.element.append(caption, this.canvas);
   }
 
-  /** Draw a scene's track up to a frame. */
-  draw(scene, frame) {
+  /** Draw a scene's track up to a frame; zoomed in, the middle of the animals stays in the middle. */
+  draw(scene, frame, zoom) {
     const track = scene.track(this.kind, this.data.individuals.length);
     const side = Math.min(this.canvas.clientWidth, this.canvas.clientHeight) || 300;
     const dots = window.devicePixelRatio || 1;
@@ -56,10 +56,11 @@ class Stage {
     context.clearRect(0, 0, side, side);
     context.lineJoin = "round";
     context.font = "12px system-ui, sans-serif";
-    const [cx, cy, half] = scene.view;
+    const half = scene.view[2] / zoom;
+    const [cx, cy] = zoom > 1 && track !== null ? this.middle(track, frame) : scene.view;
     const scale = side / (2 * half);
     this.place = ([x, y]) => [(x - cx + half) * scale, (cy + half - y) * scale];
-    this.drawField(context, scale, side, scene.bar);
+    this.drawField(context, scale, side, scene.bar.length / zoom, parseFloat(scene.bar.label) / zoom);
     if (track === null) {
       this.say("not simulated from this start");
       return;
@@ -73,13 +74,18 @@ class Stage {
     this.say(ended ? `${track.ending}, ${last} s` : touching ? "contact" : "");
   }
 
+  middle(track, frame) {
+    const places = this.data.individuals.map((_, who) => track.at(frame, who));
+    return [0, 1].map((axis) => places.reduce((sum, place) => sum + place[axis], 0) / places.length);
+  }
+
   say(text) {
     if (this.state.textContent !== text) this.state.textContent = text;
     this.canvas.setAttribute("aria-label", `${this.title}: paths of ${this.data.individuals
       .map(({ name }) => name).join(", ")}${text ? `; ${text}` : ""}`);
   }
 
-  drawField(context, scale, side, bar) {
+  drawField(context, scale, side, length, value) {
     const { shape, size, walls } = this.data.arena;
     context.strokeStyle = colourOf("muted");
     context.lineWidth = walls ? 3 : 1;
@@ -105,9 +111,9 @@ class Stage {
     context.lineWidth = 2;
     context.beginPath();
     context.moveTo(8, side - 8);
-    context.lineTo(8 + bar.length * scale, side - 8);
+    context.lineTo(8 + length * scale, side - 8);
     context.stroke();
-    context.fillText(bar.label, 8, side - 13);
+    context.fillText(`${Number(value.toPrecision(3))} ${this.data.unit}`, 8, side - 13);
   }
 
   drawContact(context, scale, track, frame, touching) {

@@ -130,6 +130,20 @@ def test_it_is_scrubbed_and_moved_by_keys(open_page: Open) -> None:
     assert page.inner_text("#play") == "Pause"
 
 
+def test_zoomed_in_the_animals_stay_in_the_middle(open_page: Open) -> None:
+    page = open_page()
+    page.locator("#time").fill("3")
+    whole = drawn(page)
+    page.select_option("#zoom", "16")
+    near = drawn(page)
+    assert all(one != other for one, other in zip(whole, near, strict=True))
+    page.locator("#time").fill("6")
+    assert drawn(page) != near
+    page.select_option("#zoom", "1")
+    page.locator("#time").fill("3")
+    assert drawn(page) == whole
+
+
 def test_a_counterfactual_opens_with_factual_beside_flipped_and_the_team(open_page: Open) -> None:
     page = open_page(name="counterfactual")
     titles = page.locator("#view option").all_inner_texts()
