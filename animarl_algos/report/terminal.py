@@ -96,7 +96,7 @@ def _terminal_table(
 ) -> TerminalTable:
     """Return a table of one group for the terminal.
 
-    Lines of its first and last column may end where ``wrapped``; else intervals stand below means.
+    Columns of words may be wrapped; where they are not, intervals stand below means.
     """
     try:
         from rich.box import SIMPLE_HEAD
@@ -107,10 +107,10 @@ def _terminal_table(
     made = TerminalTable(
         title=Text(title), caption=Text(table.caption), box=SIMPLE_HEAD, padding=(0, 1)
     )
-    wide = {0, len(table.columns) - 1} if wrapped else set()
+    words = table.left if wrapped else 0
     for i, heading in enumerate(table.columns):
-        left = i < table.left or i in wide
-        made.add_column(heading, justify="left" if left else "right", no_wrap=i not in wide)
+        left = i < table.left
+        made.add_column(heading, justify="left" if left else "right", no_wrap=i >= words)
     for row in table.groups[0].rows:
         cells = row.cells if wrapped else [cell.replace(" [", "\n[") for cell in row.cells]
         made.add_row(*map(Text, cells), style="bold" if bold(row) else "")

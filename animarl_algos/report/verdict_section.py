@@ -156,6 +156,7 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
         "Verdict",
         {
             "Question": _asked,
+            "Verdict": lambda row: words.say(str(row["verdict"])),
             words.say("Recorded"): scaled("recorded"),
             "Simulated": simulated,
             "Difference\n[95 %]": lambda row: with_interval(_gap(row), _scale(row)[1] == "%"),
@@ -164,10 +165,10 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
             ),
             "Null": null,
             **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
-            "Verdict": lambda row: words.say(str(row["verdict"])),
         },
         [("", (row for _, row in verdict.table.iterrows()))],
         words.say(_caption(verdict)),
+        left=2,
         faint=lambda row: row["judgement"] == SAME,
     )
 

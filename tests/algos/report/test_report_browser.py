@@ -267,6 +267,13 @@ def test_the_first_column_stays_in_sight(open_page: Open) -> None:
     assert cell.bounding_box()["x"] == pytest.approx(left, abs=1)
 
 
+def test_a_phone_shows_what_the_verdict_says_of_each_row(open_page: Open) -> None:
+    page = open_page(390)
+    cell = page.locator("#verdict tbody tr:not(.group) td").first
+    assert cell.bounding_box()["x"] < 250
+    assert page.locator("#verdict thead th").nth(1).inner_text().startswith("Verdict")
+
+
 CONTRASTS = """() => {
   const shade = (text) => text.match(/[\\d.]+/g).map(Number);
   const linear = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
