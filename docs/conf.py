@@ -11,6 +11,8 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A line with this machine's paths that kernels print for want of a widget.
+os.environ["PYTHONWARNINGS"] = "ignore:IProgress not found"
 # Notebooks call `animarl`: it is that of the Python that builds, activated or not.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 
@@ -24,7 +26,9 @@ source_suffix = {".md": "myst-nb"}
 exclude_patterns = ["_build", "_generated/extra", "registry.md"]
 html_theme = "furo"
 html_title = "AnimaRL"
-html_static_path: list[str] = []
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
+html_show_copyright = False
 html_extra_path = ["_generated/extra"]
 html_show_sourcelink = False
 

@@ -65,7 +65,8 @@ def page(species: Species) -> str:
         observations(world.observation_components, together=True),
         OTHERS.format(count=len(full.observation_components)),
         *PAPER.get(kind(species), ()),
-        f"<details><summary>All {len(full.observation_components)} components of `full`</summary>",
+        f"<details><summary>All {len(full.observation_components)} components of "
+        "<code>full</code></summary>",
         observations(full.observation_components),
         "</details>",
         "## Ends of an episode",
@@ -136,11 +137,11 @@ ORDER = {
     "All others are listed by distance, the nearest first.",
 }
 OTHERS = (
-    '`observation="compact"`: the default of `gym.make`, `gym.make_vec` and `parallel_env`. '
-    '`observation="full"` has {count} numbers, on scales where slow animals show: what clones of '
-    "animals need, and so the default of this package's learners and packaged models. A model acts "
-    "only on the observation that it was trained on. A species that you give as a spec has the "
-    "observation that the spec says."
+    '`observation="compact"` is the default of `gym.make`, `gym.make_vec` and `parallel_env`. '
+    '`observation="full"` has {count} numbers. Some of them are on scales that show how slow '
+    "animals move, which clones of animals need. So it is the default of this package's learners "
+    "and packaged models. A model acts only on the observation that it was trained on. If you give "
+    "a species as a spec, its own observation is used."
 )
 PAPER = {
     "chase": (
@@ -261,7 +262,7 @@ def actions(species: Species) -> str:
 
 
 def rewards(world: World, species: Species) -> str:
-    """The paragraph of the world's docstring, and the names in ``info``."""
+    """The paragraph of the world's docstring: a line for each component, and what is left."""
     if kind(species) == "free":
         return REWARDS_FREE
     doc = inspect.getdoc(type(world)) or ""
@@ -269,8 +270,9 @@ def rewards(world: World, species: Species) -> str:
     said = markdown(text).partition(": ")[2]
     if not species.conditions:
         said = re.sub(r" \(with shared reward[^)]*\)", "", said)
-    names = ", ".join(f"`{name}`" for name in world.reward_components)
-    return f"{said}\n\nThe reward is their sum. `info` has each by name: {names}."
+    each, _, more = said.partition(". ")
+    items = "\n".join(f"- {one.replace('` ', '`: ', 1)}" for one in re.split(r"[;,] (?=`)", each))
+    return f"The reward is the sum of these, and `info` has each by name:\n\n{items}\n\n{more}"
 
 
 def ends(species: Species) -> str:

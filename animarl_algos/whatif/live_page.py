@@ -11,6 +11,7 @@ import base64
 import gzip
 import html
 import json
+import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -323,13 +324,12 @@ def _fill(model: Mapping[str, Any]) -> str:
     folder = resources.files("animarl_algos.whatif") / "page"
     parts = {name: (folder / name).read_text(encoding="utf-8") for name in PARTS}
     data = json.dumps(model, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    page = parts["page.html"]
-    for mark, text in (
-        ("__TITLE__", html.escape(str(model["title"]))),
-        ("__STYLE__", parts["page.css"]),
-        ("__ENGINE__", parts["engine.js"]),
-        ("__PAGE__", parts["page.js"]),
-        ("__DATA__", data),
-    ):
-        page = page.replace(mark, text)
-    return page
+    texts = {
+        "__TITLE__": html.escape(str(model["title"])),
+        "__STYLE__": parts["page.css"],
+        "__ENGINE__": parts["engine.js"],
+        "__PAGE__": parts["page.js"],
+        "__DATA__": data,
+    }
+    # In one pass: a title that is a mark stays text.
+    return re.sub("|".join(texts), lambda mark: texts[mark[0]], parts["page.html"])

@@ -402,14 +402,25 @@ def test_the_page_fits_a_phone_and_axe_finds_nothing_serious(browser: Any, page_
         context.close()
 
 
-def test_hostile_names_stay_text(tmp_path: Path, browser: Any) -> None:
-    file = write_page(
-        load_run("fly"), tmp_path / "page.html", title="</script><script>alert(1)</script>"
-    )
+def test_hostile_names_stay_text(
+    tmp_path: Path, browser: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile, model = "</script><img src=x onerror=alert(1)>__DATA__", page_model(load_run("agent"))
+    names = [f"{hostile}{k}" for k in range(3)]
+    measured = model["recorded"]["measured"]
+    for name, other in zip(model["individuals"], names, strict=True):
+        measured[f"speed of {other}"] = measured.pop(f"speed of {name}")
+    model |= {"individuals": names, "conditions": [hostile, "__STYLE__"]}
+    monkeypatch.setattr("animarl_algos.whatif.live_page.page_model", lambda run: model)
+    file = write_page(load_run("agent"), tmp_path / "page.html", title=hostile)
     said: list[str] = []
     opened = browser.new_page()
     opened.on("dialog", lambda dialog: (said.append(dialog.message), dialog.dismiss()))
+    opened.on("pageerror", lambda error: said.append(str(error)))
     opened.goto(file.as_uri())
     answered(opened)
-    assert said == [] and "<script>alert(1)" in opened.inner_text("h1")
+    assert said == [] and opened.locator("img").count() == 0
+    assert hostile in opened.inner_text("h1") and hostile in opened.title()
+    assert f"speed of {names[2]}" in opened.inner_text("#table")
+    assert opened.locator("#condition option").all_inner_texts()[1:] == [hostile, "__STYLE__"]
     opened.close()
