@@ -52,6 +52,11 @@ copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
 (HERE / "_generated" / "extra").mkdir(parents=True, exist_ok=True)
+# Kernels warn that they use the machine's own network, which is no warning of a page.
+kernel = HERE / "_generated" / "ipython" / "profile_default"
+kernel.mkdir(parents=True, exist_ok=True)
+(kernel / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 'ERROR'\n")
+os.environ["IPYTHONDIR"] = str(kernel.parent)
 SPECIES = ("agent", "fly", "newt", "silkmoth")
 
 
