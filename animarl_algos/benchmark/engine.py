@@ -154,20 +154,9 @@ def _end_with_parent() -> None:
 class RayWorkers(Workers):
     """A Ray cluster: every piece is one task of one core; Ray places and repeats them.
 
-    Workers find the modules that are found here by ``PYTHONPATH``.
-
-    Parameters
-    ----------
-    address
-        Of a running cluster, as ``ray.init`` takes it; ``"auto"``: that of ``RAY_ADDRESS``, or
-        else this machine's, which Ray starts for the time of the work if there is none.
-
-    Raises
-    ------
-    InputError
-        If nobody answers at the address, or no Ray does.
-    MissingExtraError
-        If Ray is not installed.
+    Workers find the modules that are found here by ``PYTHONPATH``. ``address`` is that of a running
+    cluster, as ``ray.init`` takes it; ``"auto"``: that of ``RAY_ADDRESS``, or else this machine's,
+    which Ray starts for the time of the work if there is none. Where nobody answers, InputError.
     """
 
     attempts = 1  # Ray has repeated it
@@ -232,10 +221,7 @@ def _unfit(out: Path, wanted: dict[str, str]) -> str:
 def _refuse_silence(address: str) -> None:
     """Ray waits for minutes for an answer, or ends the process: so a child asks, and not for long.
 
-    Raises
-    ------
-    OSError
-        If nobody is there, or Ray does not answer for ``ASKING`` seconds, or refuses.
+    OSError if nobody is there, or Ray does not answer for ``ASKING`` seconds, or refuses.
     """
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if colon and port.isdecimal():

@@ -182,13 +182,7 @@ def _refuse_unknown(key: str, names: Iterable[str], known: Iterable[str]) -> Non
 
 
 def read_matrix(preset: str, config: Path | None = None) -> Matrix:
-    """Read a preset of ``zoo_configs/benchmark``, or the file ``config``.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset or file, or a key or a value is wrong; the place is named.
-    """
+    """Read a preset of ``zoo_configs/benchmark``, or the file ``config``; a refusal names it."""
     place = matrix_file(preset, config)
     if config is None:
         if preset not in matrix_names():
@@ -280,18 +274,9 @@ class Plan:
 def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = "") -> Plan:
     """Return what there is to do.
 
-    Parameters
-    ----------
-    methods
-        Others' methods: ``module:factory`` by name.
-    place
-        The file that the matrix stands in, for messages.
-
-    Raises
-    ------
-    InputError
-        If a recipe cannot learn from a set of demonstrations, a method has the name of a row, or
-        there is nothing to do.
+    ``methods`` are others' methods, ``module:factory`` by name; ``place`` is the file that the
+    matrix stands in, for messages. Refused is a recipe that cannot learn from a set of
+    demonstrations, a method with the name of a row, and nothing to do.
     """
     methods = methods or {}
     for name in methods:

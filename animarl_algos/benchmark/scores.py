@@ -116,14 +116,8 @@ class Score:
 def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score:
     """Measure rollouts from the test starts of ``demos`` against the recordings.
 
-    Parameters
-    ----------
-    rollouts
-        Of one method and all its seeds; ``rollouts.demo`` counts the test episodes.
-    demos
-        All splits: recordings of train and val are what recordings are compared with.
-    resamples
-        Of the intervals.
+    ``rollouts`` are of one method and all its seeds, ``rollouts.demo`` counts the test episodes;
+    recordings of the other splits are what recordings are compared with.
     """
     test, others = demos.select(split="test"), learnable(demos)
     return _score(rollouts, test, others_as_rollouts(others, test, SEED), others, resamples)

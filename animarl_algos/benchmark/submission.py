@@ -45,11 +45,7 @@ PUSHES = 4.0  # times the thrust: a fit of many magnitudes has more than twice t
 def score_submission(path: str | Path, *, resamples: int = RESAMPLES) -> Score:
     """Check a submission and measure it against the packaged test split.
 
-    Raises
-    ------
-    InputError
-        If it is no submission, or its rollouts are not from the test starts of these recordings;
-        the sentence names the rollout.
+    InputError names the rollout that is not from a test start, or could not have been made.
     """
     path = Path(path)
     rollouts, demos = read_submission(path)

@@ -88,13 +88,7 @@ def further_rules(temperatures: ArrayLike) -> list[Acting]:
 
 
 def choice_episodes(demos: Demonstrations, seed: int) -> Demonstrations:
-    """The episodes to choose by: those of validation, and of training up to ``MOST_STARTS``.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
+    """The episodes to choose by: those of validation, and of training up to ``MOST_STARTS``."""
     validation, training = (np.flatnonzero(demos.split == name) for name in ("val", "train"))
     rng = np.random.default_rng([seed, len(training)])
     spare = max(0, MOST_STARTS - len(validation))

@@ -61,18 +61,11 @@ class Answers:
 class Asked:
     """All that one method was asked, over its training seeds.
 
-    Parameters
-    ----------
-    trained, untrained
-        The answers of the trained networks, and of the networks that training began with.
-    blind
-        Those of the trained networks with the flag zeroed, with random numbers of their own.
-    world
-        Rollouts in the world of the other condition, told so; where that changes the world.
-    accuracy
-        Balanced accuracy of the treatment head on held-out demonstrations, by seed.
-    main
-        Whether it is a variant of the main comparison, or of the supplementary one.
+    ``trained`` and ``untrained`` are the answers of the trained networks and of those that training
+    began with, ``blind`` those of the trained networks with the flag zeroed, with random numbers of
+    their own. ``world`` are rollouts in the world of the other condition, told so, where that
+    changes the world; ``accuracy`` the balanced accuracy of the treatment head on held-out
+    demonstrations, by seed; ``main`` says whether it is a variant of the main comparison.
     """
 
     trained: Answers

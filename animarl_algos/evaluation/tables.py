@@ -170,14 +170,7 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
     """Every table that has columns as ``NAME.csv`` and ``NAME.parquet``, whole or not at all.
 
     Their column ``reason`` says why a number of the row is missing; reasons that a table has
-    already are kept.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be written.
-    MissingExtraError
-        If pyarrow is not installed.
+    already are kept. MissingExtraError if pyarrow is not installed.
     """
     for name, table in tables.items():
         if not len(table.columns):

@@ -157,16 +157,9 @@ class Lead:
 class Page:
     """What a page shows, from top to bottom.
 
-    Parameters
-    ----------
-    kind
-        What sort of page it is, above its title.
-    facts
-        Names and values, below the title.
-    sections
-        Those without blocks are left out.
-    lead, player
-        The verdict and the player, side by side where there is room; either may be missing.
+    ``kind`` is what sort of page it is, above its title, ``facts`` names and values below it.
+    ``lead`` and ``player``, the verdict and the player, stand side by side where there is room;
+    either may be missing, and sections without blocks are left out.
     """
 
     title: str
@@ -181,13 +174,7 @@ class Page:
         object.__setattr__(self, "sections", [one for one in self.sections if one.blocks])
 
     def html(self) -> str:
-        """Return the page as HTML.
-
-        Raises
-        ------
-        MissingExtraError
-            If jinja2 is not installed.
-        """
+        """Return the page as HTML; raise MissingExtraError if jinja2 is not installed."""
         try:
             from jinja2 import Environment, FileSystemLoader, StrictUndefined
         except ImportError as error:

@@ -169,13 +169,7 @@ def looks(roles: Sequence[str]) -> list[Look]:
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Within it, new figures share one look.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    """
+    """Within it, new figures share one look; MissingExtraError if matplotlib is not installed."""
     try:
         from matplotlib import rc_context
     except ImportError as error:

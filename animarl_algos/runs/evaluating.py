@@ -60,6 +60,9 @@ def roll_out(run: Run) -> dict[str, Rollouts]:
             cues.append("flipped")
         rollouts[name] = Rollouts.concatenate([_rolled_out(run, policy, name, c) for c in cues])
         rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
+    for file in (run.path / "rollouts").glob("*.npz"):
+        if file.stem not in rollouts:  # of a method that the run is no longer compared with
+            file.unlink()
     return rollouts
 
 

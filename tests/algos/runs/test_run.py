@@ -21,7 +21,12 @@ from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report.provenance import duration, flattened
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.evaluating import INFORMATION, far_acting_rules, uninformative_clones
+from animarl_algos.runs.evaluating import (
+    INFORMATION,
+    far_acting_rules,
+    roll_out,
+    uninformative_clones,
+)
 from animarl_algos.runs.pipeline import load_demonstrations
 from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run import Run
@@ -37,6 +42,15 @@ PAGE = Path(__file__).parents[3] / "docs" / "what_if.md"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return made(tmp_path_factory.mktemp("runs"), "soft-bc", demos=few(), rolled_out=False)
+
+
+def test_rollouts_that_are_no_longer_made_do_not_stay(tmp_path: Path) -> None:
+    own = made(tmp_path, "soft-bc", demos=few())
+    np.savez(own.path / "rollouts" / "decisions.npz", q=np.zeros(3))  # of an older version
+    with pytest.raises(InputError, match=r"decisions\.npz"):
+        own.rollouts()
+    roll_out(own)
+    assert list(own.rollouts()) == ["SOFT-BC"]
 
 
 def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:
