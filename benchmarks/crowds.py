@@ -1,11 +1,12 @@
-"""What a step costs with many animals: rates for 2, 10 and 50 pursuers beside each other.
+"""What a step costs with many animals: 2, 10 and 50 pursuers, 25 to 200 animals without a target.
 
     python benchmarks/crowds.py [--seconds 1.0]
 
 An open arena without contacts, so that no episode ends. ``gym.make`` and ``gym.make_vec`` hand out
 the observation of one individual, which sees each of the others once; in a world of which all
-individuals are asked, K of them see K - 1 each. A figure is the best of many short repeats, in
-processor time, so that other work on the machine counts less.
+individuals are asked, K of them see K - 1 each. Animals of a shoal see their nearest few, and the
+shoal is as dense whatever its size. A figure is the best of many short repeats, in processor time,
+so that other work on the machine counts less.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from animarl_envs.worlds import make_world
 
 PURSUERS = (2, 10, 50)
 COPIES = (16, 256)
+ANIMALS, NEIGHBOURS = (25, 50, 100, 200), (0, 4, 8)
 SINGLE_STEPS = 20  # of a repeat of one copy, between resets that are not timed
 
 
@@ -48,6 +50,17 @@ def main(seconds: Annotated[float, typer.Option(help="For each figure.")] = 1.0)
                 what, f"{pursuers}", f"{rate:,.0f}", f"1/{least / rate:.1f}",
                 f"{1e9 / rate / animals:.1f}", f"{1e9 / rate / pairs:.1f}",
             )  # fmt: skip
+    Console(width=110).print(table)
+    table = Table(title="Shoals, 16 copies, one thread: ns of processor time per animal and step")
+    table.add_column("animals", justify="right")
+    for seen in NEIGHBOURS:
+        table.add_column(f"{seen} neighbours", justify="right")
+    for animals in ANIMALS:
+        costs = []
+        for seen in NEIGHBOURS:
+            step, between, steps = shoal(animals, seen)
+            costs.append(1e9 * quickest(step, between, seconds) / steps / animals)
+        table.add_row(f"{animals}", *(f"{cost:.0f}" for cost in costs))
     Console(width=110).print(table)
 
 
@@ -94,6 +107,22 @@ def world(pursuers: int, copies: int) -> Made:
     made.reset()
     actions = np.random.default_rng(0).integers(13, size=(copies, pursuers + 1))
     return lambda: made.step(actions), lambda: None, copies
+
+
+def shoal(animals: int, neighbours: int, copies: int = 16) -> Made:
+    """Animals without a target, as dense as twelve in the shoal's tank, all of whom act."""
+    size = float((animals / 12) ** 0.5)
+    made = make_world(
+        make_scenario(
+            "shoal", demos=None, num_pursuers=animals, neighbours=neighbours, arena=size,
+            start_half_side=0.5 * size,
+        ),
+        copies,
+    )  # fmt: skip
+    made.seed(np.arange(copies))
+    made.reset()
+    actions = np.random.default_rng(0).integers(13, size=(copies, animals))
+    return lambda: made.step(actions), made.reset, copies
 
 
 def quickest(act: Callable[[], Any], between: Callable[[], Any], seconds: float) -> float:

@@ -1,7 +1,8 @@
 """What clones of animals that nobody pursues keep: the law that made them, and their distances.
 
-    python benchmarks/free_animals.py laws --seed 0 --seed 1 --seed 2
-    python benchmarks/free_animals.py group fish.npz --seed 0 --seed 1 --seed 2
+    python -m benchmarks.free_animals laws --seed 0 --seed 1 --seed 2
+    python -m benchmarks.free_animals group fish.npz --seed 0 --seed 1 --seed 2
+    python -m benchmarks.free_animals alone runs/larvae
 
 ``laws``: clones of the packaged synthetic larva and shoal are rolled out from test starts; the rate
 at which the larva's runs end and the radii of the shoal's zones are estimated from what they do, as
@@ -14,6 +15,9 @@ distance, of which radii are a regression that is learned on simulations of the 
 recordings, so that little is left of the order of its start. Beside it stand the recordings, the
 clone that is shown the neighbours of another animal (blind), recorded animals of different moments
 put together (strangers), and places drawn at random in the arena.
+
+``alone``: runs of animals that were recorded alone: how much animals differ from each other, and
+how long speed lasts, by which a rhythm shows, such as that of strides.
 
 Runs are made by ``animarl run`` under ``--out`` and not made again.
 """
@@ -40,6 +44,7 @@ from animarl_algos.runs.run import Run
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.summary import unit_of
+from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds import observation_components
 from benchmarks.faithful import ANIMARL
 from tools.packaged_data import larva, shoal
@@ -54,6 +59,7 @@ RIDGE = 1.0  # of standardised statistics
 COURSE = 5  # frames over which a course is taken: noise of single steps does not show
 APART = (0.0, 0.7, 1.0, 1.4, 1.8, 2.2, 2.6, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 9.0)  # [body length]
 LONELY = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.5, 20.0)  # from the nearest other [body length]
+SMOOTH, LAGS = 3, (0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)  # frames; lags of a speed [s]
 Seeds = Annotated[list[int] | None, typer.Option("--seed", help="Of the runs; repeatable.")]
 Out = Annotated[Path, typer.Option(help="Where runs go.")]
 
@@ -263,6 +269,50 @@ def group(
     for what, values in rows[3:]:
         share = (strangers - values[0]) / (strangers - recorded)
         print(f"{what}: {share:.2f} of the way from strangers to recorded")
+
+
+# -- one animal ------------------------------------------------------------------------------------
+
+
+def lasting(paths: list[Floats], lags: list[int]) -> Floats:
+    """Autocorrelation of the speed of single animals ``(frames, 2)``, means over all of them.
+
+    Positions went through a moving average, as for the verdict.
+    """
+    kernel, found = np.ones(SMOOTH) / SMOOTH, []
+    for path in paths:
+        if len(path) <= lags[-1] + SMOOTH:
+            continue
+        smooth = np.stack([np.convolve(axis, kernel, "valid") for axis in path.T], axis=1)
+        speed = np.linalg.norm(np.diff(smooth, axis=0), axis=1)
+        speed = speed / speed.mean() - 1.0
+        found.append([np.mean(speed**2), *(np.mean(speed[k:] * speed[:-k]) for k in lags)])
+    variance, *shared = np.mean(found, axis=0)
+    return np.array(shared) / variance
+
+
+@app.command()
+def alone(runs: Annotated[list[Path], typer.Argument(help="Folders of animarl run.")]) -> None:
+    """Print how animals that were recorded alone differ, and how long they keep their speed."""
+    table = Table(title="Test split: sd between animals, and autocorrelation of speed by lag")
+    for heading in ("", "mean speed", "turning [rad/s]", *(f"{lag:g} s" for lag in LAGS)):
+        table.add_column(heading, justify="right")
+    for folder in runs:
+        run = load_run(folder)
+        demos = run.demos.select(split="test")
+        made = run.simulate(repetitions=1)
+        unit = unit_of(demos)
+        recorded = [demos.path(i) for i in range(len(demos))]
+        simulated = [made.path(i)[: len(recorded[made.demo[i]])] for i in range(len(made))]
+        for what, paths in (("recorded", recorded), (str(folder), simulated)):
+            lengths = np.array([len(path) for path in paths])
+            spread = episode_traits(np.concatenate(paths), lengths, demos.dt)[:, 0].std(axis=0)
+            kept = lasting([path[:, 0] for path in paths], [round(t / demos.dt) for t in LAGS])
+            table.add_row(
+                what, f"{spread[0] * unit.per_arena_unit:.3g} {unit.name}/s", f"{spread[1]:.3g}",
+                *(f"{value:.3f}" for value in kept),
+            )  # fmt: skip
+    Console(width=120).print(table)
 
 
 if __name__ == "__main__":

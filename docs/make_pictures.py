@@ -332,7 +332,7 @@ def patterns() -> None:
 
 # -- animals without a target ----------------------------------------------------------------------
 
-LARVAE, STEPS = 12, 80  # tracks of single animals, and for how many steps
+LARVAE, STEPS = 12, 250  # tracks of single animals, and for how many steps, 20 s
 
 
 def free(run_of_larvae: str, run_of_fish: str) -> None:

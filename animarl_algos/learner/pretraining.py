@@ -34,6 +34,7 @@ from animarl_envs.errors import InputError
 
 Weights = dict[str, torch.Tensor]
 Figures = dict[str, float]
+FEW = 4  # names that a warning lists
 MOST_EPISODES = 16
 """Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
 
@@ -230,11 +231,16 @@ class Pretraining:
                 uninformative.append(who)
         if uninformative:
             warnings.warn(
-                f"the clone of {', '.join(uninformative)} is no better than predicting action "
+                f"the clone of {few_or_count(uninformative)} is no better than predicting action "
                 "frequencies (validation cross-entropy not below the marginal entropy): give more "
                 "demonstrations, more updates, or standardised inputs",
                 stacklevel=4,
             )
+
+
+def few_or_count(names: list[str]) -> str:
+    """Return the names, or of many how many they are."""
+    return ", ".join(names) if len(names) <= FEW else f"{len(names)} individuals"
 
 
 @torch.no_grad()

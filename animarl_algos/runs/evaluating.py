@@ -20,6 +20,7 @@ from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPol
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.pretraining import few_or_count
 from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
@@ -171,7 +172,7 @@ def uninformative_clones(run: Run) -> list[str]:
     if not names:
         return []
     return [
-        f"The clone of {', '.join(names)} is no better than predicting action frequencies: give "
+        f"The clone of {few_or_count(names)} is no better than predicting action frequencies: give "
         "more demonstrations, more updates, or standardised inputs."
     ]
 

@@ -3,8 +3,9 @@
 The last individual comes first (unless it is the one that sees): the target, or the pursuer where
 one pursues several. Then the many others by distance, ties by index. Few are sorted in all copies
 at once, without branches; many in each copy by itself, from their order at the last step, which is
-nearly right: the cost per neighbour stays the same. Free animals see their nearest few, who are
-selected in one pass over all.
+nearly right: the cost per neighbour stays the same. Free animals see their nearest few: nobody is
+nearer in the plane than along x, so that of animals in the order of x only a strip is looked at,
+as wide as those few are far that were seen at the last step.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class Neighbours(NamedTuple):
 
     others: NDArray[np.float64]  # (K - 1, 6, B), of the individual that is looking
     order: NDArray[np.int16] | None  # (K, B, n), the many by distance at the last step
+    along: NDArray[np.int16]  # (B, 2, K) of free animals: by x, and at which place each one stands
     state: NDArray[np.float64]  # (B, 4, K) for many: x, y and velocity, each copy's in one place
     distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
 
@@ -37,16 +39,20 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
     K, B = species.num_individuals, num_copies
     if species.free:
         seen = species.num_seen
-        order = np.zeros((1, LINE, seen), dtype=np.int16)
+        order = np.zeros((K, B, seen), dtype=np.int16)
+        for i in range(K):
+            order[i] = [j for j in range(seen + 1) if j != i][:seen]
+        along = np.broadcast_to(np.arange(K, dtype=np.int16), (B if seen else 0, 2, K)).copy()
         state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((LINE, seen))
-        return Neighbours(np.zeros((max(1, seen), WHO + 1, B)), order, state, distance)
+        return Neighbours(np.zeros((max(1, seen), WHO + 1, B)), order, along, state, distance)
+    along = np.zeros((0, 2, K), dtype=np.int16)
     others = np.zeros((K - 1, WHO + 1, B))
     if K - 1 <= FEW:
-        return Neighbours(others, None, np.zeros((0, 4, K)), np.zeros((LINE, K)))
+        return Neighbours(others, None, along, np.zeros((0, 4, K)), np.zeros((LINE, K)))
     order = np.zeros((K, B, K - 1), dtype=np.int16)
     for i in range(K):
         order[i, :, : K - 1 - (i < K - 1)] = [j for j in range(K - 1) if j != i]
-    return Neighbours(others, order, np.zeros((B, 4, K)), np.zeros((LINE, K)))
+    return Neighbours(others, order, along, np.zeros((B, 4, K)), np.zeros((LINE, K)))
 
 
 @part
@@ -117,43 +123,78 @@ def look(i, position, velocity, order, neighbours):  # type: ignore[no-untyped-d
 
 
 @jit
-def look_around(i, order, neighbours):  # type: ignore[no-untyped-def]
+def line_up(state, along):  # type: ignore[no-untyped-def]
+    """Sort the free animals of each copy by x, by insertion into the last order."""
+    for b in range(state.shape[0]):
+        x, line, places = state[b, 0], along[b, 0], along[b, 1]
+        for place in range(1, len(line)):
+            j, at = line[place], place
+            while at > 0 and x[line[at - 1]] > x[j]:
+                line[at] = line[at - 1]
+                at -= 1
+            line[at] = j
+        for place in range(len(line)):
+            places[line[place]] = place
+
+
+@jit
+def look_around(i, neighbours):  # type: ignore[no-untyped-def]
     """Fill ``neighbours.others`` with the nearest of all others, in order; how many these are."""
-    others, state = neighbours.others, neighbours.state
-    best, who, B = neighbours.distance, order[0], state.shape[0]
+    others, state, along = neighbours.others, neighbours.state, neighbours.along
+    best, who, B = neighbours.distance, neighbours.order[i], state.shape[0]
     most = who.shape[1]
     for begin in range(0, B, LINE):  # each line of ``others`` is written at once
         end = min(B, begin + LINE)
         for b in range(begin, end):
-            _select(i, state[b], best[b - begin], who[b - begin])
+            _select(i, state[b], along[b], best[b - begin], who[b])
         for rank in range(most):
             for row in range(4):  # place, then velocity
                 for b in range(begin, end):
-                    j = who[b - begin, rank]
+                    j = who[b, rank]
                     others[rank, row, b] = state[b, row, j] - state[b, row, i]
             for b in range(begin, end):
                 others[rank, APART, b] = math.sqrt(best[b - begin, rank])
-                others[rank, WHO, b] = who[b - begin, rank]
+                others[rank, WHO, b] = who[b, rank]
     return most
 
 
 @part
-def _select(i, state, best, who):  # type: ignore[no-untyped-def]
-    """Put the nearest others of ``i`` in one copy, in order, into ``who`` and ``best``, squared."""
-    most, count = len(who), 0
-    for j in range(state.shape[1]):
-        dx, dy = state[0, j] - state[0, i], state[1, j] - state[1, i]
-        apart = dx * dx + dy * dy
-        if j == i or (count == most and not apart < best[most - 1]):
-            continue
-        at = min(count, most - 1)
-        while at > 0 and best[at - 1] > apart:
-            best[at] = best[at - 1]
-            who[at] = who[at - 1]
-            at -= 1
-        best[at] = apart
-        who[at] = j
-        count = min(count + 1, most)
+def _select(i, state, along, best, who):  # type: ignore[no-untyped-def]
+    """Put the nearest others of ``i`` in one copy, in order, into ``who`` and ``best``, squared.
+
+    ``who`` holds those of the last step, which bound how far it is to those of this one.
+    """
+    line, here, most = along[0], along[1, i], len(who)
+    x, y = state[0, i], state[1, i]
+    for rank in range(most):
+        dx, dy = state[0, who[rank]] - x, state[1, who[rank]] - y
+        _place(who[rank], dx * dx + dy * dy, rank, best, who)
+    for side in (-1, 1):
+        at = here + side
+        while 0 <= at < len(line):
+            j = line[at]
+            dx, dy = state[0, j] - x, state[1, j] - y
+            if dx * dx > best[most - 1]:
+                break
+            apart, known = dx * dx + dy * dy, False
+            if apart <= best[most - 1]:
+                for rank in range(most):
+                    known |= who[rank] == j
+                if not known and (apart < best[most - 1] or j < who[most - 1]):
+                    _place(j, apart, most - 1, best, who)
+            at += side
+
+
+@part
+def _place(j, apart, rank, best, who):  # type: ignore[no-untyped-def]
+    """Put animal ``j`` at ``rank`` or before, in the order of distance, ties by index."""
+    at = rank
+    while at > 0 and (best[at - 1] > apart or (best[at - 1] == apart and who[at - 1] > j)):
+        best[at] = best[at - 1]
+        who[at] = who[at - 1]
+        at -= 1
+    best[at] = apart
+    who[at] = j
 
 
 @part

@@ -41,6 +41,7 @@ from animarl_envs.worlds.chase.neighbours import (
     DY,
     find_focus,
     lay_out,
+    line_up,
     look,
     look_around,
 )
@@ -119,6 +120,8 @@ def observe(  # type: ignore[no-untyped-def]
     others = neighbours.others
     face(bodies, headed)
     lay_out(position, velocity, observers, neighbours.order, neighbours.state)
+    if free is not None and observers.any():
+        line_up(neighbours.state, neighbours.along)
     for i in range(position.shape[0]):
         if free is None:
             faced = 1  # how many of the others lie straight ahead by definition
@@ -131,7 +134,7 @@ def observe(  # type: ignore[no-untyped-def]
         else:
             faced = 0
             _go_on(i, position, velocity, past, steps, senses, towards)
-            seen = look_around(i, neighbours.order, neighbours) if observers[i] else 0
+            seen = look_around(i, neighbours) if observers[i] else 0
         if not observers[i]:
             continue
         _observe_motion(i, velocity, acceleration, towards, first, own_velocity[i], observation)

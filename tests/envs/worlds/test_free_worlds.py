@@ -115,6 +115,29 @@ def test_the_nearest_few_are_seen_in_order() -> None:
     np.testing.assert_allclose(seen[..., distances], apart[..., 1:4], rtol=1e-5)
 
 
+def test_the_nearest_few_do_not_depend_on_what_was_seen_before() -> None:
+    """As of all pairs, ties by index, while animals move, jump and start anew."""
+    scenario = make_scenario("shoal", demos=None, num_pursuers=30, neighbours=5)
+    world, rng = make_world(scenario, 3), np.random.default_rng(1)
+    names = [one.name for one in observation_components(scenario.species)]
+    shown = [names.index(f"other {k} relative position ahead") for k in range(1, 6)]
+    world.seed([0, 1, 2])
+    world.reset()
+    for step in range(12):
+        if step % 4 == 2:  # onto a lattice, where many are as far away
+            world.position[:] = rng.integers(-3, 4, world.position.shape) / 4.0
+        world.step(rng.integers(13, size=(3, 30)))
+        if step == 7:
+            world.reset(np.array([True, False, True]))
+        offset = world.position[:, None] - world.position[:, :, None]
+        apart = np.square(offset).sum(axis=-1)
+        apart[:, np.arange(30), np.arange(30)] = np.inf
+        nearest = np.argsort(apart, axis=-1, kind="stable")[..., :5]
+        towards = np.take_along_axis(offset, nearest[..., None], axis=2)
+        ahead = np.einsum("bikx,bix->bik", towards, world.towards)
+        np.testing.assert_allclose(world.observation[..., shown], ahead, atol=1e-5)
+
+
 def test_who_is_who_does_not_matter() -> None:
     demos = group(5)
     fitted = joint_locomotion(demos, 2)
