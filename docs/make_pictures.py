@@ -28,6 +28,7 @@ from animarl_algos import load_run
 from animarl_algos.report import style
 from animarl_algos.report.path_figures import Stage, draw_paths, path_panels
 from animarl_algos.report.words import Words
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.drawing.palette import PURSUERS, RECORDED, SIMULATED, TARGET, TOUCH, to_hex
@@ -351,7 +352,8 @@ def larvae(run_folder: str) -> None:
         "simulated": _from_the_origin([simulated.path(i) for i in first]),
     }
     names = tuple(str(i) for i in enough)
-    stage = Stage(demos.arena, ("pursuer",) * len(enough), names, Words.of(demos))
+    reach = max(float(np.abs(side).max()) for side in sides.values())
+    stage = Stage(Arena("open", reach), ("pursuer",) * len(enough), names, Words.of(demos))
     save(path_panels([*sides.items()], sides["recorded"], stage), "one_animal", 150)
 
 
