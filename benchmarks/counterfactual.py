@@ -3,13 +3,15 @@
     python benchmarks/counterfactual.py --estimate
     python benchmarks/counterfactual.py --seed 0 --seed 1 --seed 2
     python benchmarks/counterfactual.py --seed 0 --seed 1 --seed 2 --steps 200000
+    python benchmarks/counterfactual.py --species silkmoth --only dqdil --only dqcil-pt
     python benchmarks/counterfactual.py --tiny --cells out/tiny --out out/tiny/results
 
 Every cell (learner and seed) is fitted and trained as ``animarl train`` does, in a run
 folder of its own under ``--cells``; one that was killed goes on, a finished one is not made again.
 Then all are asked about the other condition, as ``animarl counterfactual`` does. The truth is what
 the published teams of the other condition do from the same starts. Recordings and weights lie in
-$ANIMARL_DATA (by default ../shared/data).
+$ANIMARL_DATA (by default ../shared/data). Silkmoths are the packaged (synthetic) ones, full against
+reduced senses; beside them stands what the same network does with the other senses.
 """
 
 from __future__ import annotations
@@ -42,15 +44,18 @@ from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.files import all_files_or_none
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
+from animarl_envs.scenario import PACKAGED
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 FOLDER = DATA / "agents_collab_hunting"
 FILES = ("episodes_c2ae_indiv_slow2.4.npz", "episodes_c2ae_share_slow2.4.npz")
 ALGOS = ("dqcil-pt", "dqdil-pt", "bc", "soft-bc")
-SPECIES = "agent"
+SPECIES, MOTH = "agent", "silkmoth"
 TINY = {"offline_epochs": 1, "policy_kwargs": {"hidden": 32}}
 SHOWN = (of.PREDICTED, of.TRUE, of.MISSED, of.UNTRAINED_SHIFT, of.BLIND, of.ERROR)
 PROBE_STEPS = (4000, 12_000)  # both beyond the first updates; what differs is learning as usual
@@ -72,12 +77,18 @@ def recorded(tiny: bool = False) -> Demonstrations:
 
 
 def asked_for(
-    algo: str, seed: int, steps: int | None, overrides: dict[str, Any], share: float = 1.0
+    algo: str,
+    seed: int,
+    steps: int | None,
+    overrides: dict[str, Any],
+    share: float = 1.0,
+    species: str = SPECIES,
 ) -> RunSettings:
     """The default preset, with other steps for learners that adapt online, or fewer epochs."""
     settings = RunSettings(
-        file=", ".join(FILES), species=SPECIES, algo=algo, steps=1, seed=seed, baselines=False,
-        overrides=overrides, **pipeline_settings(environment_id(SPECIES), "default"),
+        file=", ".join(FILES) if species == SPECIES else PACKAGED, species=species, algo=algo,
+        steps=1, seed=seed, baselines=False, overrides=overrides,
+        **pipeline_settings(environment_id(species), "default"),
     )  # fmt: skip
     preset = settings.learner()
     if share < 1.0:
@@ -159,6 +170,7 @@ def estimate(
 def main(
     seed: Annotated[list[int] | None, typer.Option(help="Repeatable; default 0, 1, 2.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="These learners; repeatable.")] = None,
+    species: Annotated[str, typer.Option(help=f"Recorded {SPECIES}s or a packaged set.")] = SPECIES,
     steps: Annotated[
         int | None, typer.Option(help="Online steps; by default the preset's.")
     ] = None,
@@ -180,9 +192,13 @@ def main(
     """Train every cell, then ask all of them."""
     torch.set_num_threads(1)
     console = Console(width=128)
-    if not FOLDER.is_dir():
-        raise typer.BadParameter(f"the recorded agents are not in {DATA}: set ANIMARL_DATA")
-    demos, seeds, learners = recorded(tiny), seed or [0, 1, 2], only or ALGOS
+    seeds, learners, truth = seed or [0, 1, 2], only or ALGOS, None
+    if species == SPECIES:
+        if not FOLDER.is_dir():
+            raise typer.BadParameter(f"the recorded agents are not in {DATA}: set ANIMARL_DATA")
+        demos, truth = recorded(tiny), FOLDER / "weights"
+    else:
+        demos = load_packaged(species)
     if estimated:
         estimate(demos, learners, steps, len(seeds), console)
         return
@@ -190,12 +206,12 @@ def main(
     for s in seeds:
         for algo in learners:
             began = time.process_time()
-            settings = asked_for(algo, s, steps, TINY if tiny else {}, share)
-            run = cell(demos, cells / f"{algo}-{s}", settings, fits)
+            settings = asked_for(algo, s, steps, TINY if tiny else {}, share, species)
+            run = cell(demos, cells / f"{species}-{algo}-{s}", settings, fits)
             console.print(f"{run.path}: {time.process_time() - began:.0f} s")
-    folders = [cells / f"{algo}-{s}" for algo in learners for s in seeds]
-    page = cells / PAGE
-    found = counterfactual_runs(folders, page, truth=FOLDER / "weights", repetitions=repetitions)
+    folders = [cells / f"{species}-{algo}-{s}" for algo in learners for s in seeds]
+    page = cells / f"{species}-{PAGE}"
+    found = counterfactual_runs(folders, page, truth=truth, repetitions=repetitions)
     text = markdown(found)
     with all_files_or_none(out) as part:
         (part / "README.md").write_text(text)
@@ -210,15 +226,20 @@ def markdown(found: CounterfactualRuns) -> str:
     """The table of shifts with their truth, and what may be claimed."""
     effects, conditions = found.effects, found.runs.species.conditions
     table = effects.table[effects.table["counting"] == "all"]
+    moths = found.runs.species.name == MOTH
+    who, walked = ("silkmoths (synthetic)", "moth") if moths else ("recorded agents", "predators")
+    unit = unit_of(found.demos).name if moths else "arena units"
+    truth = "" if moths else (
+        " The truth: what the published teams of the other condition do from the same starts."
+    )  # fmt: skip
     lines = [
-        "# Counterfactuals with a truth: the recorded agents",
+        f"# Counterfactuals: the {who}",
         "",
         f"    {shlex.join(['python', *sys.argv])}",
         "",
         f"{', '.join(f'{name} {number}' for name, number in versions().items())}.",
         "",
-        "Mean path length of the predators [arena units], 95 % intervals, all episodes. The truth: "
-        "what the published teams of the other condition do from the same starts.",
+        f"Mean path length of the {walked} [{unit}], 95 % intervals, all episodes.{truth}",
         "",
         f"| method | variant | flip | seeds | {' | '.join(SHOWN)} |",
         f"|{'---|' * (4 + len(SHOWN))}",

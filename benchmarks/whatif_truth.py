@@ -4,14 +4,16 @@
     python benchmarks/whatif_truth.py --out docs/results/whatif
     python benchmarks/whatif_truth.py --only agent --seed 0
     python benchmarks/whatif_truth.py --only newt --change female.thrust=x2 --planning
+    python benchmarks/whatif_truth.py --only agent --method my_module:make --out out/mine
     python benchmarks/whatif_truth.py --only larvae --out docs/results/whatif/larvae
 
 A clone is asked with ``animarl whatif``'s code. The truth is known where a program or a trained
 team made the recordings: the packaged agents (their teams), flies and newts (their courtship),
 moths (their search), and the published artificial agents, if $ANIMARL_DATA has them. What made
 them acts in the changed world and perceives it as the clone does, by habit or knowing its new body.
-With ``--planning`` flies, newts and moths choose their pushes with their new thrust, but keep the
-speeds that they want: a third truth, beside what clones answer by habit.
+``--method`` enters somebody else's simulator, made as for ``animarl benchmark``, in the clone's
+place. With ``--planning`` flies, newts and moths choose their pushes with their new thrust, but
+keep the speeds that they want: a third truth, beside what clones answer by habit.
 
 One row is one quantity of one change. ``miss`` is predicted minus true, paired by start, with an
 interval over starts and training seeds. An answer counts as wrong where its miss is clear of zero
@@ -46,7 +48,13 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
 from animarl_algos import load_run
-from animarl_algos.benchmark.methods import ProgrammedPolicy
+from animarl_algos.benchmark.methods import (
+    Checked,
+    MethodSetting,
+    ProgrammedPolicy,
+    foreign,
+    load_factory,
+)
 from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.counterfactual import permuted_runs
@@ -189,6 +197,21 @@ def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         runs.append(load_run(folder))
     return runs
+
+
+def entered_run(name: str, method: str, seed: int) -> Run:
+    """Return a packaged world in which somebody else's method (``module:factory``) acts.
+
+    Raises
+    ------
+    InputError
+        If there is no such factory, or it raises.
+    """
+    run, factory = load_run(name), load_factory(method)
+    with foreign(f"method {method}: its factory raised", "fix it"):
+        made = factory(MethodSetting.of(run, seed))
+    vars(run)["policy"] = Checked(method, made, run.species.num_actions)  # instead of the clone
+    return run
 
 
 def halved_larvae(cells: Path) -> Path:
@@ -405,6 +428,9 @@ def main(
     ] = False,
     change: Annotated[list[str] | None, typer.Option(help="Only these; repeatable.")] = None,
     permutations: Annotated[int, typer.Option(help="Of the conditions of larvae.")] = 20,
+    method: Annotated[
+        str | None, typer.Option(help="module:factory of your own simulator, in packaged worlds.")
+    ] = None,
     planning: Annotated[
         bool, typer.Option("--planning", help="The third truth: programs plan with their new body.")
     ] = False,
@@ -423,11 +449,14 @@ def main(
     changes = QUICK if quick else CHANGES
     parts = []
     for name in only or changes:
-        if name == RECORDED and not agents.exists():
-            console.print(f"{RECORDED}: no recordings in {DATA}, left out")
+        if name == RECORDED and (method is not None or not agents.exists()):
+            console.print(f"{RECORDED}: no recordings in {DATA}, or a method of others: left out")
             continue
         seeds = [0] if quick else seed or [0, 1, 2]
-        runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
+        if method is not None:
+            runs = [entered_run(name, method, one) for one in seeds]
+        else:
+            runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
         folder = agents / "weights" if name == RECORDED else None
         for one in answered(
             runs, tuple(change or changes[name]), 2 if quick else repetitions, folder, planning

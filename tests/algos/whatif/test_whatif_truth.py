@@ -1,11 +1,14 @@
 """The benchmark of what-ifs: what made the recordings, in the changed world, beside a clone."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from animarl_algos import load_run
-from benchmarks.whatif_truth import Truth, answered, rows, summary, warned
+from animarl_envs.errors import InputError
+from benchmarks.whatif_truth import Truth, answered, bars, entered_run, rows, summary, warned
 
 
 def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is_caught() -> None:
@@ -24,8 +27,23 @@ def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is
     assert absurd["wrong"] and not absurd["covered"] and absurd["warning"] == "red"
     short = summary(table).set_index("warning")
     assert short.loc["red", "wrong"] >= 4 and short["rows"].sum() == len(table)
+    held = bars(table).set_index(["set", "bar"])
+    assert held.loc[("agent", "no warning: sign right in all"), "met"] == "yes"
+    caught = held.loc[("all", "90 % of wrong rows are warned of"), "found"].split(" of ")
+    assert int(caught[0]) >= 4 and caught[1] == str(table["wrong"].sum())
     assert "1 of 3 changes are predicted wrongly" in warned(table)
     assert "1 of these have a red warning" in warned(table)
+
+
+def test_simulators_of_others_can_enter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[3] / "examples" / "benchmark"))
+    run = entered_run("agent", "methods:make_gliding", 0)
+    (one,) = answered([run], ("contact=x1.5",), 1, None)
+    table = pd.DataFrame(rows("agent", [run], one)).set_index("quantity")
+    # Who never turns is caught by chance: the true agents gain far more by a larger radius.
+    assert np.isfinite(table["predicted"]).all() and not table.loc["reached", "covered"]
+    with pytest.raises(InputError, match="make_nothing"):
+        entered_run("agent", "methods:make_nothing", 0)
 
 
 @pytest.mark.parametrize("name", ["agent", "fly", "silkmoth"])
