@@ -49,7 +49,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks a
 
 from animarl_algos import load_run
 from animarl_algos.benchmark.methods import (
-    Checked,
+    CheckedPolicy,
     MethodSetting,
     ProgrammedPolicy,
     foreign,
@@ -210,7 +210,9 @@ def entered_run(name: str, method: str, seed: int) -> Run:
     run, factory = load_run(name), load_factory(method)
     with foreign(f"method {method}: its factory raised", "fix it"):
         made = factory(MethodSetting.of(run, seed))
-    vars(run)["policy"] = Checked(method, made, run.species.num_actions)  # instead of the clone
+    entered = CheckedPolicy(method, made, run.species.num_actions)
+    vars(entered)["layout"] = run.policy.layout  # whether it is told conditions, as the clone is
+    vars(run)["policy"] = entered
     return run
 
 
@@ -402,6 +404,27 @@ def bars(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
+def criteria(table: pd.DataFrame) -> pd.DataFrame:
+    """Return what other thresholds of the warning would catch: shares of wrong and right rows.
+
+    ``beyond`` is the share of steps, more than usual, with inputs that training did not have;
+    ``readings`` asks too whether habit and knowledge of the new body disagree on a sign.
+    """
+    turned = (table["other_reading"] * table["predicted"] < 0) & (
+        (table["low"] > 0) | (table["high"] < 0)
+    )
+    turned = turned.groupby([table[key] for key in ("set", "change", "reading")]).transform("any")
+    wrong, found = table["wrong"].astype(bool), []
+    for readings in (False, True):
+        for beyond in (0.05, 0.1, 0.25, 0.5):
+            said = (table["beyond"] > beyond) | (turned & readings)
+            found.append(
+                {"beyond": beyond, "readings": "yes" if readings else "no",
+                 "wrong rows": said[wrong].mean(), "right rows": said[~wrong].mean()}
+            )  # fmt: skip
+    return pd.DataFrame(found)
+
+
 def warned(table: pd.DataFrame) -> str:
     """Return in words how often wrong and right answers were warned of, by change."""
     changes = table.groupby(["set", "change", "reading"]).agg(
@@ -498,7 +521,7 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
         "# What-if answers beside their truth", "",
         "    python benchmarks/whatif_truth.py --out docs/results/whatif", "",
         "; ".join(
-            f"{name}: {row.seeds} training seeds, commit {row.commit}"
+            f"{name}: {row.seeds} training seed{'s' * (row.seeds > 1)}, commit {row.commit}"
             for name, row in made.iterrows()
         ) + ".", "",
         "Every row of `whatif_truth.csv` is one quantity of one change; what the columns mean",
@@ -517,6 +540,13 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
     lines += map(str.strip, str(bars.__doc__).strip().splitlines()[2:])
     lines += ["", "| set | bar | found | met |", "|---|---|---|---|"]
     lines += [f"| {row.set} | {row.bar} | {row.found} | {row.met} |" for row in held.itertuples()]
+    lines += ["", "Shares of rows that a warning would be said of, by its threshold:", ""]
+    lines += ["| inputs beyond training above | or readings disagree | of wrong rows | of others |"]
+    lines += ["|---|---|---|---|"]
+    lines += [
+        f"| {row.beyond:.0%} | {row.readings} | {row[3]:.0%} | {row[4]:.0%} |"
+        for row in criteria(table).itertuples()
+    ]
     return "\n".join([*lines, ""])
 
 

@@ -16,7 +16,7 @@ from animarl_algos import load_run
 from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
-from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.answer import ask, judge
 from animarl_algos.whatif.answer_page import answer_page, words
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
@@ -359,6 +359,18 @@ def test_a_cue_is_no_finding_where_permuted_conditions_shift_as_far(chase: Run) 
     assert (rows["p"] == 1.0).all() and not rows["finding"].any()
     assert rows["null_low"].to_numpy() == pytest.approx(rows["shift"].to_numpy())
     assert "networks of permuted conditions" in words(found)
+
+
+def test_of_twenty_cues_with_permuted_conditions_one_is_a_finding() -> None:
+    """Whatever they shift by: the largest alone lies beyond the 19 others."""
+    shifts = np.random.default_rng(0).normal(0.0, 3.0, 20)
+    said = []
+    for k, shift in enumerate(shifts):
+        others = np.abs(np.delete(shifts, k)) >= abs(shift)
+        row = {"shift": shift, "low": shift - 0.01, "high": shift + 0.01, "gap": 0.0,
+               "warning": "none", "p": (1 + others.sum()) / 20}  # fmt: skip
+        said.append(judge(row, of_a_cue=True))
+    assert said.count("as by chance") == 19 and said[np.abs(shifts).argmax()] in ("rises", "falls")
 
 
 def test_permutations_need_a_condition_that_can_be_permuted(tmp_path: Path) -> None:
