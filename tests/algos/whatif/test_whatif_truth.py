@@ -40,8 +40,10 @@ def test_simulators_of_others_can_enter(monkeypatch: pytest.MonkeyPatch) -> None
     run = entered_run("agent", "methods:make_gliding", 0)
     (one,) = answered([run], ("contact=x1.5",), 1, None)
     table = pd.DataFrame(rows("agent", [run], one)).set_index("quantity")
-    # Who never turns is caught by chance: the true agents gain far more by a larger radius.
-    assert np.isfinite(table["predicted"]).all() and not table.loc["reached", "covered"]
+    # Nobody sets out, so nobody's path gets shorter: the whole true shift is missed.
+    path = table.loc["path length"]
+    assert np.isfinite(table["predicted"]).all() and path["predicted"] == 0.0
+    assert path["miss"] == pytest.approx(-path["true"]) and path["clear"] and not path["covered"]
     with pytest.raises(InputError, match="make_nothing"):
         entered_run("agent", "methods:make_nothing", 0)
 
