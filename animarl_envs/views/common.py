@@ -37,7 +37,11 @@ PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
 
 TIME_COST = 0.5  # of a whole episode [captures]
-CLASHES = {"rebound": ("arena", "boundary", "boundary_penalty"), "start": ("demos",)}
+CLASHES = {
+    "rebound": ("arena", "boundary", "boundary_penalty"),
+    "start": ("demos",),
+    "locomotion": ("demos", "individuals", "num_targets", "lone_pursuer", "free"),
+}
 """Options that, when given, leave a default of :data:`animarl_envs.species.TASKS` out."""
 
 Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
