@@ -20,7 +20,7 @@ from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import episode_table, summarise
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError, require
-from animarl_envs.importing.minari_io import export_minari
+from animarl_envs.importing.minari_io import export_minari, export_packaged
 from animarl_envs.importing.readers import available_readers
 from animarl_envs.importing.sessions import conditions_of
 
@@ -176,6 +176,21 @@ def convert_command(
     else:
         raise InputError(f"{out}: the suffix says the format: .npz, .csv, or none for Minari")
     wide_console().print(f"Wrote {out}")
+
+
+@app.command("minari")
+def minari_command(
+    out: Annotated[Path, typer.Option("--out", help="Folder for all sets, new or without them.")],
+) -> None:
+    """Write all packaged sets as Minari datasets, animarl/newt/demonstrations-v0 and the like.
+
+    Example:
+
+      animarl data minari --out minari
+    """
+    for name in export_packaged(out):
+        wide_console().print(f"Wrote {out / name}")
+    wide_console().print(f"Minari finds them with MINARI_DATASETS_PATH={out.resolve()}")
 
 
 @app.command("plot")

@@ -11,6 +11,7 @@ import sys
 import warnings
 from importlib import import_module
 from importlib.resources import files
+from time import perf_counter
 from typing import Any, NamedTuple
 
 from animarl_envs.checks import printable
@@ -62,6 +63,31 @@ class Place(NamedTuple):
         return typer.main.get_command(alone)
 
 
+def compile_command() -> None:
+    """Compile the kernels of every species for this machine, so that no first step waits for it.
+
+    Example:
+
+      animarl compile
+    """
+    import numpy as np
+
+    from animarl_algos.cli.shared import PlainConsole
+    from animarl_algos.data.vec_env import SlotVecEnv
+    from animarl_envs.species import COMPACT, SPECIES
+    from animarl_envs.worlds import demonstration_observations
+
+    for name in SPECIES:
+        before = perf_counter()
+        for observation in (COMPACT, "full"):  # "paper" has the kernels of "full"
+            slots = SlotVecEnv(name, 1, observation=observation)
+            slots.reset()
+            slots.step(np.zeros(slots.num_envs, dtype=np.int64))
+        if slots.demos is not None:  # recorded headings ask for a kernel more
+            demonstration_observations(slots.scenario.species, slots.demos)
+        PlainConsole().print(f"{name}: compiled in {perf_counter() - before:.1f} s")
+
+
 COMMANDS = {
     "import": Place("importing", "import_command"),
     "data": Place("data", "data_commands", app="app"),
@@ -76,7 +102,7 @@ COMMANDS = {
     "report": Place("run", "report_command"),
     "export": Place("evaluate", "export_command"),
     "watch": Place("watch", "watch_command"),
-    "compile": Place("watch", "compile_command"),
+    "compile": Place("main", "compile_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
 }
 """By name, in the order of the help."""

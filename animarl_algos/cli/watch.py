@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import zip_longest
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,8 +21,8 @@ from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED, Scenario, make_scenario
-from animarl_envs.species import COMPACT, SPECIES, SearchSpecies
-from animarl_envs.worlds import demonstration_observations, make_world
+from animarl_envs.species import SearchSpecies
+from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
 if TYPE_CHECKING:
@@ -35,26 +34,6 @@ Rule = Literal["demonstration", "script"]
 """What ``--by`` takes."""
 Actor = Callable[[World, bool], NDArray[np.integer]]
 """From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
-
-
-def compile_command() -> None:
-    """Compile the kernels of every species for this machine, so that no first step waits for it.
-
-    Example:
-
-      animarl compile
-    """
-    from animarl_algos.data.vec_env import SlotVecEnv
-
-    for name in SPECIES:
-        before = perf_counter()
-        for observation in (COMPACT, "full"):  # "paper" has the kernels of "full"
-            slots = SlotVecEnv(name, 1, observation=observation)
-            slots.reset()
-            slots.step(np.zeros(slots.num_envs, dtype=np.int64))
-        if slots.demos is not None:  # recorded headings ask for a kernel more
-            demonstration_observations(slots.scenario.species, slots.demos)
-        PlainConsole().print(f"{name}: compiled in {perf_counter() - before:.1f} s")
 
 
 @helps(

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
+import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.spaces import Discrete
@@ -50,7 +51,7 @@ from animarl_algos.networks.policies import GruPolicy, PolicySettings
 from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
-from animarl_envs.species import get_species
+from animarl_envs.species import SPECIES, get_species, species_name
 
 TO_SB3 = (
     "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
@@ -78,8 +79,8 @@ class BaseLearner(OffPolicyAlgorithm):
         ``"GruPolicy"`` (with a memory) or ``"MlpPolicy"``.
     env
         Any Gymnasium environment with Discrete actions, its id, or a VecEnv. An id of this package
-        (``"AnimaRL/Newt-v0"``) stands for all individuals, with the packaged demonstrations and as
-        many copies as the preset has. A VecEnv with the attributes
+        (``"AnimaRL/Newt-v0"``, or ``"newt"``) stands for all individuals, with the packaged
+        demonstrations and as many copies as the preset has. A VecEnv with the attributes
         ``individuals`` and ``num_copies`` trains all individuals.
     learning_rate
         Of Adam, a number or a schedule of the remaining progress.
@@ -162,7 +163,8 @@ class BaseLearner(OffPolicyAlgorithm):
             del given["offline_epochs"]
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
-        if isinstance(env, str) and env.startswith("AnimaRL/"):
+        ours = isinstance(env, str) and env not in gym.registry and species_name(env) in SPECIES
+        if isinstance(env, str) and (ours or env.startswith("AnimaRL/")):
             preset = learner_preset(self.preset, environment_id(get_species(env).name))
             env = SlotVecEnv(env, preset.n_envs, condition_flag=None, **preset.env_kwargs)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)

@@ -21,21 +21,23 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
+from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.files import refuse_special
 from animarl_envs.locomotion import NUM_ACTIONS
 
+DATASET = "demonstrations-v0"
 DATA_FILE = "main_data.hdf5"
 METADATA_KEY = "animarl"
 RECORDED, INFERRED = "recorded", "inferred"
 PER_EPISODE = ("condition", "outcome", "split", "recording")
 
 
-def export_minari(demos: Demonstrations, folder: str | Path) -> Path:
+def export_minari(demos: Demonstrations, folder: str | Path, dataset_id: str | None = None) -> Path:
     """Write a dataset into ``folder/data``; the folder must not exist yet.
 
     With ``MINARI_DATASETS_PATH`` set to the folder's parent, ``minari.load_dataset(folder.name)``
-    finds it.
+    finds it. ``dataset_id`` is by default the folder's name.
     """
     try:
         import gymnasium as gym
@@ -64,9 +66,11 @@ def export_minari(demos: Demonstrations, folder: str | Path) -> Path:
         kind = "synthetic" if demos.synthetic else "recorded"
         storage.update_metadata(
             {
-                "dataset_id": folder.name,
+                "dataset_id": dataset_id or folder.name,
                 "minari_version": minari.__version__,
-                "description": f"{demos!r}; {kind} animals",
+                "description": f"{demos!r}; {kind} animals. Source: {demos.provenance['source']}. "
+                f"Licence: {demos.provenance['licence']}. Actions are {origin}.",
+                "author": {"AnimaRL"},
                 "algorithm_name": "none: demonstrations",
                 METADATA_KEY: json.dumps(_metadata(demos, origin)),
             }
@@ -76,6 +80,37 @@ def export_minari(demos: Demonstrations, folder: str | Path) -> Path:
         )
         data.parent.rename(folder)
     return folder
+
+
+def export_packaged(root: str | Path) -> list[str]:
+    """Write every packaged set below ``root``, under stable ids, and return these.
+
+    ``MINARI_DATASETS_PATH=root`` lets Minari find them: ``animarl/newt/demonstrations-v0``. Each is
+    opened by Minari once, which checks its spaces, numbers of episodes and steps.
+
+    Raises
+    ------
+    InputError
+        If a folder exists already, or Minari counts other steps than were written.
+    """
+    made = []
+    for name in packaged_names():
+        demos, wanted = load_packaged(name), f"animarl/{name}/{DATASET}"
+        folder = export_minari(demos, Path(root) / wanted, wanted)
+        for space in (folder.parent, folder.parent.parent):
+            about = f"Demonstrations of {name}" if space == folder.parent else "Sets of AnimaRL"
+            (space / "namespace_metadata.json").write_text(json.dumps({"description": about}))
+        import minari
+
+        found = minari.MinariDataset(folder / "data")
+        steps = int((demos.lengths - 1).sum())
+        require(
+            (found.total_episodes, found.total_steps) == (len(demos), steps),
+            f"{folder}: Minari reads {found.total_steps} steps where {steps} were written: "
+            "use Minari 0.5 or later",
+        )
+        made.append(wanted)
+    return made
 
 
 def import_minari(folder: str | Path) -> Demonstrations:

@@ -40,7 +40,7 @@ TIME_COST = 0.5  # of a whole episode [captures]
 CLASHES = {
     "rebound": ("arena", "boundary", "boundary_penalty"),
     "start": ("demos",),
-    "locomotion": ("demos", "individuals", "num_targets", "lone_pursuer", "free"),
+    "locomotion": ("individuals", "num_targets"),
 }
 """Options that, when given, leave a default of :data:`animarl_envs.species.TASKS` out."""
 
@@ -176,6 +176,9 @@ def task_options(species: Species | str, options: Mapping[str, Any]) -> dict[str
         for key, value in TASKS.get(name, {}).items()
         if options.keys().isdisjoint(CLASHES.get(key, ()))
     }
+    recordings = not isinstance(options.get("demos"), str | None)
+    if recordings or options.get("lone_pursuer") or options.get("free"):
+        own.pop("locomotion", None)  # of own recordings nobody is made faster than it was
     return {"time_cost": TIME_COST, **own, **options}
 
 

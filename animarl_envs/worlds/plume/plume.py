@@ -55,7 +55,7 @@ class HitTable(NamedTuple):
         return left, left + self.columns * self.cell, low, low + self.rows * self.cell
 
 
-@nb.njit(inline="always")
+@jit(forceinline=True)  # Python calls it, too
 def is_hit(table, pattern, step, x, y):  # type: ignore[no-untyped-def]
     """Whether an antenna at ``(x, y)`` is hit; the middle of two cells belongs to the outer one."""
     column = table.source_column + int(math.copysign(math.floor(abs(x) / table.cell + 0.5), x))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import part
 from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
@@ -78,7 +78,7 @@ def senses_of(species: SearchSpecies) -> Senses:
 # -- the body ---------------------------------------------------------------------------------
 
 
-@nb.njit(inline="always")
+@part
 def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
     """Point the body at ``angle`` from upwind, its unit vector given; note how far it turned."""
     body.heading[0, b] = cosine
@@ -87,7 +87,7 @@ def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
     body.angle[b] = angle
 
 
-@nb.njit(inline="always")
+@part
 def face(b, direction, body):  # type: ignore[no-untyped-def]
     """Point the body in a direction of the arena frame [rad]."""
     cosine = math.cos(direction)
@@ -95,7 +95,7 @@ def face(b, direction, body):  # type: ignore[no-untyped-def]
     _face(b, cosine, sine, math.atan2(-sine, -cosine), body)
 
 
-@nb.njit(inline="always")
+@part
 def follow(b, velocity_x, velocity_y, rest_speed, body):  # type: ignore[no-untyped-def]
     """Point the body along the velocity; at rest it stays as it is."""
     speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
@@ -105,7 +105,7 @@ def follow(b, velocity_x, velocity_y, rest_speed, body):  # type: ignore[no-unty
         _face(b, velocity_x / speed, velocity_y / speed, angle, body)
 
 
-@nb.njit(inline="always")
+@part
 def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-def]
     """Turn by the equation of :mod:`animarl_envs.species.turning`."""
     turn = next_turn(
@@ -120,7 +120,7 @@ def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-
     body.turn[b] = turn
 
 
-@nb.njit(inline="always")
+@part
 def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
     """The body after a step: as ``recorded`` in ``frame``, by its own turning, or as it walks."""
     if not senses.turns:
@@ -131,7 +131,7 @@ def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, bod
         _swing(b, velocity_x, velocity_y, senses, body)
 
 
-@nb.njit(inline="always")
+@part
 def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
     """The body at the start of an episode: as recorded; else as it walks, upwind at rest."""
     known = recorded and len(demo_heading) > 0
@@ -150,7 +150,7 @@ def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body)
 # -- the senses -------------------------------------------------------------------------------
 
 
-@nb.njit(inline="always")
+@part
 def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-untyped-def]
     """Hits of the left and right antenna."""
     heading = body.heading
@@ -164,7 +164,7 @@ def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-un
     return left, right
 
 
-@nb.njit(inline="always")
+@part
 def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-def]
     """Hits drawn from a fitted odour; the signals tell the last hits, and the trace their age."""
     trace = max(body.trace[0, b], body.trace[1, b])
@@ -177,7 +177,7 @@ def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-
     )  # fmt: skip
 
 
-@nb.njit(inline="always")
+@part
 def sense(  # type: ignore[no-untyped-def]
     b, velocity_x, velocity_y, push_x, push_y, hit_left, hit_right, condition, senses, body, out,
     column,
@@ -214,7 +214,7 @@ def sense(  # type: ignore[no-untyped-def]
         out[Seen.OWN_TURNING, column] = body.traits[1, b]
 
 
-@nb.njit(inline="always")
+@part
 def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
     """Visual flow and the side the wind comes from; nothing of either in condition 1."""
     for row in range(Seen.FLOW, Seen.WIND_BACK + 1):
@@ -237,7 +237,7 @@ def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-unty
         out[Seen.WIND_LEFT, column] = 1.0
 
 
-@nb.njit(inline="always")
+@part
 def _sense_more(b, velocity_x, velocity_y, senses, body, out, column):  # type: ignore[no-untyped-def]
     """The same things said so that a network can use them, and a longer memory of hits."""
     out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]

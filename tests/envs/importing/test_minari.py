@@ -10,7 +10,8 @@ from refusals import refuses
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
-from animarl_envs.importing.minari_io import export_minari, import_minari
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.importing.minari_io import export_minari, export_packaged, import_minari
 from animarl_envs.importing.readers import read
 
 pytest.importorskip("minari")
@@ -74,6 +75,20 @@ def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.Mon
         assert episode.terminations[-1] == (one.outcome in (1, -1))
         assert episode.truncations[-1] == (one.outcome in (0, -3))
     assert json.loads(dataset.storage.metadata["animarl"])["licence"] == "CC-BY-4.0"
+
+
+def test_minari_finds_all_packaged_sets_under_stable_ids(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import minari
+
+    assert export_packaged(tmp_path) == [f"animarl/{n}/demonstrations-v0" for n in packaged_names()]
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    assert len(minari.list_local_datasets()) == len(packaged_names())
+    newt, demos = minari.load_dataset("animarl/newt/demonstrations-v0"), load_packaged("newt")
+    assert newt.total_episodes == len(demos)
+    assert demos.provenance["licence"] in newt.storage.metadata["description"]
+    refuses("exists already", export_packaged, tmp_path)
 
 
 def test_minari_refuses_what_it_cannot_do(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import animarl_envs
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.species import SILKMOTH, SPECIES
 from animarl_envs.species.options import with_options
@@ -70,9 +71,15 @@ def test_tasks_have_opponents_that_act_and_a_cost_of_time(name: str) -> None:
 
 def test_tasks_keep_what_the_caller_says() -> None:
     env = animarl_envs.parallel_env("agent", boundary_penalty=-2.0, time_cost=0.0)
-    said = {"boundary_penalty": -2.0, "observation": "compact"}
+    said = {"boundary_penalty": -2.0, "observation": "compact", "locomotion": {"prey": 1.3}}
     assert env.scenario.species == with_options(SPECIES["agent"], **said)
     assert make("fly", contact_radius=0.3).scenario.species.contact_radius == 0.3
+    prey = animarl_envs.parallel_env("agent", locomotion={"prey": 1.0}).scenario.species
+    assert prey.locomotion == SPECIES["agent"].locomotion
+    several = animarl_envs.parallel_env("fly", num_targets=2, start="uniform").scenario.species
+    assert several.locomotion[-1] == SPECIES["fly"].locomotion[0]
+    own = animarl_envs.parallel_env("fly", demos=load_packaged("fly")).scenario.species
+    assert own.locomotion == SPECIES["fly"].locomotion
     free = gym.make("AnimaRL/Shoal-v0").unwrapped
     assert free.scenario.drivers[1:] == ("replay",) * 11  # type: ignore[attr-defined]
 
