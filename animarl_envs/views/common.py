@@ -8,6 +8,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
+from importlib.util import find_spec
 from operator import index
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import is_whole
 from animarl_envs.drawing.render import RENDER_MODES, Pictures
-from animarl_envs.errors import InputError, also_list_options_of
+from animarl_envs.errors import InputError, MissingExtraError, also_list_options_of
 from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import (
@@ -72,6 +73,10 @@ class View:
         self.world = make_world(scenario, num_copies, observers)
         self._pictures = Pictures(self.world, render_mode)
         self.metadata = {**self.metadata, "render_fps": self._pictures.frame_rate}
+        if find_spec("pygame") is None:
+            if render_mode is not None:
+                raise MissingExtraError("drawing", "render")
+            self.metadata["render_modes"] = []  # or Gymnasium's checker would ask for pictures
         self._description = json.dumps(scenario_as_data(scenario))  # each reset says it anew
         self._actions = np.zeros((num_copies, self.world.num_individuals), dtype=np.int64)
         self._started = False

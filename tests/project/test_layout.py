@@ -87,7 +87,7 @@ BUDGETS = {
     "animarl_envs.fitting": 2_527,
     "animarl_envs.importing": 5_437,
     "animarl_envs.species": 1_214,
-    "animarl_envs.views": 974,
+    "animarl_envs.views": 979,
     "animarl_envs.worlds": 4_188,
     "animarl_envs.wrappers": 270,
 }

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
 import animarl_envs
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.species import SILKMOTH, SPECIES
 from animarl_envs.species.options import with_options
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
@@ -128,3 +130,12 @@ def test_tasks_refuse_a_region_without_starts(given: Any) -> None:
 def test_tasks_without_recorded_starts_refuse_the_reward_of_recordings() -> None:
     with pytest.raises(InputError, match="recorded=True"):
         DTWReward(gym.make("AnimaRL/Silkmoth-v0"))
+
+
+def test_gymnasiums_checker_passes_without_the_extra_for_pictures(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    check_env(gym.make("AnimaRL/Agent-v0").unwrapped)
+    with pytest.raises(MissingExtraError, match=r"animarl\[render\]"):
+        gym.make("AnimaRL/Agent-v0", render_mode="rgb_array")
