@@ -5,10 +5,11 @@
 Rows of a task: actions drawn at random; the best of all policies that always take one action; the
 best scripted rule of one number (a pursuer leads the target by a time; straight at it is one of
 the constant actions; the moth's is the programme ``animarl_envs.worlds.search.programmed_moth``,
-which needs the full observation); the packaged
-clone, where it can act in the task's world; stable-baselines3's PPO, which has no memory, and
-sb3-contrib's RecurrentPPO, both with the settings below for every task; and the animals of the
-packaged demonstrations, what the task would have paid the first pursuer for its recorded episode.
+which needs the full observation, and finds few sources from starts to the side and upwind); the
+packaged clone, where it can act in the task's world; stable-baselines3's PPO, which has no memory,
+and sb3-contrib's RecurrentPPO, both with the settings below for every task; and the animals of the
+packaged demonstrations, what the task would have paid the first pursuer for its recorded episode,
+from recorded starts.
 
 Returns are means of the first episode of 500 copies, whose starts no learner was trained on; all
 policies act as they do in training, at random where their distribution says so. A score is the
