@@ -19,7 +19,7 @@ def held(
     """What walls make of positions and velocities ``(individuals, copies, 2)``."""
     given = (np.array(a, dtype=np.float64).transpose(0, 2, 1).copy() for a in (position, velocity))
     places, speeds = given
-    rebound.py_func((shape, SIZE, 9.0), places, speeds)  # a part of kernels, no kernel
+    rebound((shape, SIZE, 9.0), places, speeds)
     return places.transpose(0, 2, 1), speeds.transpose(0, 2, 1)
 
 
