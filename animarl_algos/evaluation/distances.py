@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.statistics import (
     NO_VALUE,
@@ -62,14 +62,39 @@ def densities(grid: Floats, width: float, values: Floats, weights: Floats) -> Fl
 def kde_distances(a: Floats, first: Floats, b: Floats, second: Floats) -> Floats:
     """L1 distances ``(resamples,)`` of densities of ``a`` and ``b``, each with its weightings.
 
-    Bandwidths are those of the first weighting, whose values all others draw from.
+    Every weighting has its own bandwidth, so that exchanged samples are treated like observed ones.
+    Values are shared out between their two neighbouring grid points and smoothed by a Fourier
+    transform, which agrees with the exact estimate to a few parts in a thousand.
     """
-    found = kde_grid(a[first[0] > 0], b[second[0] > 0])
+    from scipy.fft import irfft
+
+    samples = a[first.any(axis=0)], b[second.any(axis=0)]
+    found = kde_grid(*samples)
     if found is None:
         return np.zeros(len(first))
-    grid, (one, other) = found
-    gap = densities(grid, one, a, first) - densities(grid, other, b, second)
-    return np.asarray(np.abs(gap).sum(axis=1) * (grid[1] - grid[0]))
+    grid, floor = found[0], KDE_FLOOR * float(np.ptp(np.concatenate(samples)))
+    spectra = _spectra(grid, floor, a, first) - _spectra(grid, floor, b, second)
+    return np.asarray(np.abs(irfft(spectra, n=2 * KDE_GRID, axis=1)[:, :KDE_GRID]).sum(axis=1))
+
+
+def _spectra(grid: Floats, floor: float, values: Floats, weights: Floats) -> NDArray[np.complex128]:
+    """Fourier transforms of the densities of all weightings, times the step of the grid."""
+    from scipy.fft import rfft
+
+    step, number = grid[1] - grid[0], weights.sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = weights @ values / number
+        variance = (weights @ values**2 / number - mean**2) * number / (number - 1)
+        width = np.sqrt(np.maximum(variance, 0.0)) * number**-0.2
+        share = weights / number[:, None]
+    width = np.where(np.isfinite(width), np.maximum(width, floor), floor)
+    place = (values - grid[0]) / step
+    left = np.clip(np.floor(place).astype(int), 0, KDE_GRID - 2)
+    binned, rows = np.zeros((len(values), KDE_GRID)), np.arange(len(values))
+    binned[rows, left], binned[rows, left + 1] = 1.0 - (place - left), place - left
+    frequency = 2.0 * np.pi * np.fft.rfftfreq(2 * KDE_GRID)
+    smooth = np.exp(-0.5 * np.square(width[:, None] / step * frequency))
+    return np.asarray(rfft(share @ binned, n=2 * KDE_GRID, axis=1) * smooth)
 
 
 def kde_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:
@@ -78,10 +103,18 @@ def kde_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:
     It is biased upwards: two samples of 10 and 50 values from one normal distribution differ by
     about 0.39.
     """
-    a, b = _finite(simulated), _finite(recorded)
-    if not min(len(a), len(b)):
+    samples = _finite(simulated), _finite(recorded)
+    if not min(map(len, samples)):
         return math.nan
-    return float(kde_distances(a, np.ones((1, len(a))), b, np.ones((1, len(b))))[0])
+    found = kde_grid(*samples)
+    if found is None:
+        return 0.0
+    grid, widths = found
+    one, other = (
+        densities(grid, width, sample, np.ones((1, len(sample))))
+        for width, sample in zip(widths, samples, strict=True)
+    )
+    return float(np.abs(one - other).sum() * (grid[1] - grid[0]))
 
 
 def bootstrap_kde(
@@ -106,13 +139,12 @@ def bootstrap_kde(
         return Interval(kde_distance(simulated, recorded), reason=reason)
     seeds, row = np.unique(np.asarray(seed), return_inverse=True)
     demo_weights, seed_weights = (
-        np.vstack([np.ones(count), draw_weights(rng, count, resamples)])
-        for count in (len(recorded), len(seeds))
+        draw_weights(rng, count, resamples) for count in (len(recorded), len(seeds))
     )
     first = seed_weights[:, row.ravel()[counts]] * demo_weights[:, np.asarray(demo)[counts]]
     second = demo_weights[:, present]
-    estimate, *drawn = kde_distances(simulated[counts], first, recorded[present], second)
-    return percentile_interval(float(estimate), np.array(drawn))
+    drawn = kde_distances(simulated[counts], first, recorded[present], second)
+    return percentile_interval(kde_distance(simulated, recorded), drawn)
 
 
 def wasserstein(simulated: ArrayLike, recorded: ArrayLike) -> float:

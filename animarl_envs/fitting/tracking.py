@@ -56,8 +56,6 @@ def track(
     arena: Arena | None = None,
     *,
     horizon: float = 1.0,
-    random_share: float = 0.0,
-    seed: int = 0,
 ) -> Tracking:
     """Follow every recorded episode from its first state, all individuals together.
 
@@ -75,23 +73,15 @@ def track(
     horizon
         h, the number of steps within which a miss of the position is corrected. 1 stays nearest;
         but each correction is a push and then one back, so a larger h keeps pushes smooth.
-    random_share, seed
-        Share of all actions that are drawn at random instead; the following ones correct them.
 
     Raises
     ------
     InputError
-        If there are not K equally rich sets of parameters, the horizon is below a step, or the
-        share is none.
+        If there are not K equally rich sets of parameters, or the horizon is below a step.
     """
     _check(demos, locomotion)
     if not horizon >= 1.0:
         raise InputError(f"horizon is {horizon}: give 1 step or more")
-    if not 0.0 <= random_share <= 1.0:
-        raise InputError(f"random_share is {random_share}: give a share from 0 to 1")
-    rng, shape = np.random.default_rng(seed), demos.positions.shape[:2]
-    drawn = rng.integers(locomotion[0].num_actions, size=shape)
-    forced = np.where(rng.random(shape) < random_share, drawn, -1)
     arena = demos.arena if arena is None else arena
     field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
     recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
@@ -109,7 +99,7 @@ def track(
     for t in range(int(demos.lengths.max())):
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
-            float(horizon), position_now, velocity_now, paths, speeds, forced, actions, course,
+            float(horizon), position_now, velocity_now, paths, speeds, actions, course,
             share_of(COURSE, demos.dt), focus_rule(demos.focus_rule),
         )  # fmt: skip
         if arena.rebound:
@@ -197,12 +187,11 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
 @jit
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
-    horizon, position, velocity, paths, speeds, forced, actions, course, share,
+    horizon, position, velocity, paths, speeds, actions, course, share,
     rule,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
-    ``forced`` ``(frames, K)`` are actions that are taken whatever they lead to, -1 for none.
     ``course`` ``(K, 2, episodes)`` is where free animals have been going, else empty.
     """
     K = position.shape[0]
@@ -238,8 +227,6 @@ def _follow(  # type: ignore[no-untyped-def]
         for i in range(K):
             least, action, best_x, best_y = np.inf, 0, 0.0, 0.0
             for k in range(pushes.shape[1]):
-                if forced[frame, i] >= 0 and k != forced[frame, i]:
-                    continue
                 ahead, left = pushes[i, k, 0], pushes[i, k, 1]
                 ax = ahead * towards[i, 0] - left * towards[i, 1]
                 ay = ahead * towards[i, 1] + left * towards[i, 0]

@@ -224,13 +224,3 @@ def recorded_traits(species: ChaseSpecies, demos: Demonstrations | None) -> NDAr
         return np.zeros((count, species.num_individuals, 2))
     own = episode_traits(demos.positions, demos.lengths, demos.dt)
     return species.traits.scores(own, demos.condition)
-
-
-def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float64]:
-    """Headings in all recorded frames ``(frames, K)`` [rad], as the world would have them.
-
-    ``(frames, 0)`` where the species has none.
-    """
-    return recorded_bodies(
-        species, demos.positions, demos.velocities(), demos.steps(), demos.headings()
-    ).heading.T

@@ -208,19 +208,6 @@ def test_tracking_stays_within_walls() -> None:
     assert np.linalg.norm(free, axis=2).max() > 1.0
 
 
-def test_some_actions_at_random_are_mended_by_those_after_them() -> None:
-    demos, _ = walk(TRUTH, 4, episodes=60)
-    exact, shaken = track(demos, TRUTH), track(demos, TRUTH, random_share=0.1, seed=1)
-    taken = exact.actions >= 0
-    other = (exact.actions != shaken.actions)[taken].mean()
-    assert 0.05 < other < 0.5  # one in ten, and what mends them
-    far = tracking_errors(demos, shaken)
-    assert (far > tracking_errors(demos, exact)).all()
-    assert (far < tracking_errors(demos, track(demos, TRUTH, random_share=1.0))).all()
-    assert np.array_equal(shaken.actions, track(demos, TRUTH, random_share=0.1, seed=1).actions)
-    refuses("a share from 0 to 1", track, demos, TRUTH, random_share=1.5)
-
-
 def test_packaged_flies_are_followed_to_a_thousandth() -> None:
     demos = load_packaged("fly").select(split="val")
     tracking = track(demos, FLY.locomotion)

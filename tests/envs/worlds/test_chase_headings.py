@@ -16,7 +16,8 @@ from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.scenario import make_scenario, with_options
 from animarl_envs.worlds import demonstration_observations, mirror
-from animarl_envs.worlds.chase.world import ChaseWorld, demonstration_headings
+from animarl_envs.worlds.chase.headings import recorded_bodies
+from animarl_envs.worlds.chase.world import ChaseWorld
 
 Array = NDArray[Any]
 
@@ -228,7 +229,9 @@ def test_recorded_frames_are_seen_as_the_world_sees_them(with_headings: bool) ->
     world = world_of(8, demos, drivers=drivers, contact_radius=1e-9)
     world.reset(demo=np.arange(8))
     seen = demonstration_observations(species(), demos)
-    heading = demonstration_headings(species(), demos)
+    heading = recorded_bodies(
+        species(), demos.positions, demos.velocities(), demos.steps(), demos.headings()
+    ).heading.T
     for t in range(int(demos.lengths.min())):
         frames = demos.offsets[:-1] + t
         assert world.observation == pytest.approx(seen[frames], abs=1e-6)
