@@ -44,6 +44,7 @@ MOST_INDIVIDUALS = 60
 MOST_BYTES = 5_000_000
 MOST_STARTS = 60
 PARTS = ("page.html", "page.css", "engine.js", "page.js")
+SYNTHETIC = "These recordings are synthetic: they were generated, not recorded from animals."
 
 
 def write_page(run: TrainedRun, file: str | Path, *, title: str | None = None) -> Path:
@@ -89,6 +90,7 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
     model: dict[str, Any] = {
         "name": species.name,
         "title": species.title,
+        "synthetic": run.demos.synthetic,
         "world": species.world,
         "individuals": list(species.individuals),
         "roles": list(species.roles),
@@ -326,6 +328,7 @@ def _fill(model: Mapping[str, Any]) -> str:
     data = json.dumps(model, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     texts = {
         "__TITLE__": html.escape(str(model["title"])),
+        "__ORIGIN__": f"<p><strong>{SYNTHETIC}</strong></p>" if model["synthetic"] else "",
         "__STYLE__": parts["page.css"],
         "__ENGINE__": parts["engine.js"],
         "__PAGE__": parts["page.js"],

@@ -27,7 +27,7 @@ from animarl_algos.whatif.absent import (
     farthest_pursuer,
     simulate_from,
 )
-from animarl_algos.whatif.live_page import page_model, write_page
+from animarl_algos.whatif.live_page import SYNTHETIC, page_model, write_page
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species.traits import Traits
@@ -400,6 +400,16 @@ def test_the_page_fits_a_phone_and_axe_finds_nothing_serious(browser: Any, page_
         serious = [one["id"] for one in found if one["impact"] in ("serious", "critical")]
         assert serious == [], (width, scheme)
         context.close()
+
+
+def test_synthetic_recordings_are_called_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = load_run("silkmoth")
+    assert SYNTHETIC in write_page(run, tmp_path / "page.html").read_text()
+    model = page_model(run) | {"synthetic": False}
+    monkeypatch.setattr("animarl_algos.whatif.live_page.page_model", lambda run: model)
+    assert SYNTHETIC not in write_page(run, tmp_path / "own.html").read_text()
 
 
 def test_hostile_names_stay_text(
