@@ -5,7 +5,8 @@
     python benchmarks/whatif_truth.py --only agent --seed 0
     python benchmarks/whatif_truth.py --only newt --change female.thrust=x2 --planning
     python benchmarks/whatif_truth.py --only agent --method my_module:make --out out/mine
-    python benchmarks/whatif_truth.py --only larvae --out docs/results/whatif/larvae
+    python benchmarks/whatif_truth.py --only larvae --out docs/results/whatif
+    python benchmarks/whatif_truth.py --only recorded-agents --seed 0 --permutations 20
 
 A clone is asked with ``animarl whatif``'s code. The truth is known where a program or a trained
 team made the recordings: the packaged agents (their teams), flies and newts (their courtship),
@@ -60,7 +61,16 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.counterfactual import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
-from animarl_algos.whatif.answer import Answer, ask, mean_over_starts, quantities_of
+from animarl_algos.whatif.answer import (
+    FALLS,
+    RISES,
+    Answer,
+    ask,
+    judge,
+    mean_over_starts,
+    quantities_of,
+    share_as_large,
+)
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import Caution
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -235,13 +245,51 @@ def halved_larvae(cells: Path) -> Path:
     return file
 
 
-def larvae(seeds: list[int], cells: Path, permutations: int) -> pd.DataFrame:
+def permuted(name: str, run: Run, cells: Path, count: int) -> list[Run]:
+    """Return clones of a set that learned from permuted conditions."""
+    folder = cells / f"{name}-permuted"
+    return permuted_runs(run, folder, count, lambda done: print(f"permuted: {done}", flush=True))
+
+
+def false_claims(name: str, nulls: list[Run], repetitions: int) -> pd.DataFrame:
+    """Return how many clones of permuted conditions claim a shift: ``set, told, quantity, ...``.
+
+    ``by rollouts`` counts intervals over rollouts that are clear of zero, ``by the null`` findings
+    of ``animarl whatif --permutations``, each clone beside the others. The last row of each
+    condition counts clones that claim anything.
+    """
+    changes = [f"condition={one}" for one in nulls[0].scenario.species.conditions]
+    tables = [
+        ask([one], changes, repetitions=repetitions, separately=True).table.set_index(
+            ["scenario", "quantity"]
+        )
+        for one in nulls
+    ]
+    found = []
+    for told, of_one in tables[0].groupby(level="scenario", sort=False):
+        quantities = of_one.index.get_level_values("quantity")
+        shifts = np.array([table.loc[told, "shift"] for table in tables])
+        claims = np.zeros((2, *shifts.shape), dtype=bool)
+        for k, table in enumerate(tables):
+            by_chance = share_as_large(shifts[k], np.delete(shifts, k, axis=0))
+            for column, row in enumerate(table.loc[told].to_dict("records")):
+                beside = {**row, "p": by_chance[column]}
+                claims[0, k, column] = row["low"] > 0 or row["high"] < 0
+                claims[1, k, column] = judge(beside, of_a_cue=True) in (RISES, FALLS)
+        for quantity, counts in [
+            *zip(quantities, claims.sum(axis=1).T, strict=True),
+            ("any of them", claims.any(axis=2).sum(axis=1)),
+        ]:
+            found.append(
+                {"set": name, "told": str(told).partition("=")[2], "quantity": quantity,
+                 "clones": len(nulls), "by rollouts": counts[0], "by the null": counts[1]}
+            )  # fmt: skip
+    return pd.DataFrame(found)
+
+
+def larvae(runs: list[Run], nulls: list[Run]) -> pd.DataFrame:
     """Return the shift of a flipped cue beside the difference of animals kept aside [% of it]."""
-    runs = trained_runs(LARVAE, seeds, cells)
-    nulls = permuted_runs(
-        runs[0], cells / "larvae-permuted", permutations, lambda done: print(f"permuted: {done}")
-    )
-    changes = [f"condition={name}" for name in FOOD]
+    changes, permutations = [f"condition={name}" for name in FOOD], len(nulls)
     found = ask(runs, changes, repetitions=1, separately=True, permuted=nulls)
     (speed,) = quantities_of(runs[0].scenario.species, unit_of(runs[0].demos))
     names = runs[0].scenario.species.conditions
@@ -450,7 +498,9 @@ def main(
         bool, typer.Option("--quick", help="Packaged models, few changes, nothing trained.")
     ] = False,
     change: Annotated[list[str] | None, typer.Option(help="Only these; repeatable.")] = None,
-    permutations: Annotated[int, typer.Option(help="Of the conditions of larvae.")] = 20,
+    permutations: Annotated[
+        int | None, typer.Option(help="Of the conditions of larvae (default 20) or agents.")
+    ] = None,
     method: Annotated[
         str | None, typer.Option(help="module:factory of your own simulator, in packaged worlds.")
     ] = None,
@@ -461,12 +511,22 @@ def main(
 ) -> None:
     """Print what was predicted beside what is true."""
     console = Console(width=110)
-    if only == [LARVAE]:
-        table = larvae(seed or [0, 1, 2], cells, permutations)
-        console.print(table.T.to_string(float_format=lambda value: f"{value:.2f}"))
-        if out is not None:
+    if only == [LARVAE] or (only == [RECORDED] and permutations):
+        runs = trained_runs(only[0], seed or [0, 1, 2], cells)
+        nulls = permuted(only[0], runs[0], cells, 20 if permutations is None else permutations)
+        tables = {}
+        if nulls:
+            claimed = false_claims(only[0], nulls, 1 if only == [LARVAE] else repetitions)
+            tables[f"false_claims_{only[0]}"] = claimed
+            console.print(claimed.to_string(index=False))
+        if only == [LARVAE]:
+            tables[LARVAE] = larvae(runs, nulls)
+            console.print(tables[LARVAE].T.to_string(float_format=lambda value: f"{value:.2f}"))
+        for name, table in tables.items() if out is not None else ():
             out.mkdir(parents=True, exist_ok=True)
-            table.to_csv(out / "larvae.csv", index=False, float_format="%.4g")
+            table.assign(commit=commit()).to_csv(
+                out / f"{name}.csv", index=False, float_format="%.4g"
+            )
         return
     agents = DATA / "agents_collab_hunting"
     changes = QUICK if quick else CHANGES

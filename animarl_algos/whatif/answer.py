@@ -265,15 +265,12 @@ class _Asker:
             other = self._simulate(options, scenario, reading)[0]
         rows = list(self._rows(scenario, changed, other))
         warning, reason = self._warning(beyond, inputs, rows)
-        by_chance = np.array([one.shifts(scenario) for one in nulls])
+        null = np.array([one.shifts(scenario) for one in nulls] or [[np.nan] * len(rows)])
+        low, high = np.nanquantile(null, [0.025, 0.975], axis=0) if nulls else null[[0, 0]]
+        p = share_as_large(np.array([row["shift"] for row in rows]), null) if nulls else null[0]
         for column, row in enumerate(rows):
             row["beyond"] = float((beyond - self.usual).max())
-            row |= {"null_low": np.nan, "null_high": np.nan, "p": np.nan}
-            if len(by_chance):
-                null = by_chance[:, column]
-                low, high = np.nanquantile(null, [0.025, 0.975])
-                as_large = int((np.abs(null) >= abs(row["shift"])).sum())
-                row |= {"null_low": low, "null_high": high, "p": (1 + as_large) / (1 + len(null))}
+            row |= {"null_low": low[column], "null_high": high[column], "p": p[column]}
             row["warning"] = warning
             cue = scenario.condition is not None and not self.species.condition_is_sensed
             row["judged"] = judge(row, of_a_cue=cue)
@@ -481,6 +478,20 @@ def judge(row: Mapping[str, Any], of_a_cue: bool) -> str:
     if row["p"] > CUE_LEVEL:
         return "as by chance"
     return RISES if row["shift"] > 0 else FALLS
+
+
+def share_as_large(shifts: Floats, null: Floats) -> Floats:
+    """Return ``p`` of each quantity's shift among those of permuted conditions.
+
+    Parameters
+    ----------
+    shifts
+        ``(quantities,)``.
+    null
+        ``(networks, quantities)``.
+    """
+    as_large = (np.abs(null) >= np.abs(shifts)).sum(axis=0)
+    return np.asarray((1 + as_large) / (1 + len(null)))
 
 
 def mean_over_starts(

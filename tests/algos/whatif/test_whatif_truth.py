@@ -8,7 +8,16 @@ import pytest
 
 from animarl_algos import load_run
 from animarl_envs.errors import InputError
-from benchmarks.whatif_truth import Truth, answered, bars, entered_run, rows, summary, warned
+from benchmarks.whatif_truth import (
+    Truth,
+    answered,
+    bars,
+    entered_run,
+    false_claims,
+    rows,
+    summary,
+    warned,
+)
 
 
 def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is_caught() -> None:
@@ -33,6 +42,15 @@ def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is
     assert int(caught[0]) >= 4 and caught[1] == str(table["wrong"].sum())
     assert "1 of 3 changes are predicted wrongly" in warned(table)
     assert "1 of these have a red warning" in warned(table)
+
+
+def test_claims_of_permuted_conditions_are_counted_with_and_without_their_null() -> None:
+    run = load_run("agent")
+    found = false_claims("agent", [run, run], 1).set_index(["told", "quantity"])
+    assert (found["clones"] == 2).all() and set(found.index.levels[0]) == {"individual", "shared"}
+    # A network that learned a true difference claims it by its rollouts; beside itself it cannot.
+    assert found.loc[("shared", "any of them"), "by rollouts"] == 2
+    assert (found["by the null"] == 0).all()
 
 
 def test_simulators_of_others_can_enter(monkeypatch: pytest.MonkeyPatch) -> None:
