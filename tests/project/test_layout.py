@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 991,
     "animarl_algos.report": 2_620,
     "animarl_algos.runs": 2_616,
-    "animarl_algos.whatif": 2_072,
+    "animarl_algos.whatif": 2_083,
     "animarl_algos.zoo": 492,
     "animarl_envs": 2_386,
     "animarl_envs.demos": 1_309,
