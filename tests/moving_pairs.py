@@ -11,7 +11,6 @@ from animarl_envs.demos.demonstrations import PURSUER_OUT, TIME_OUT, Demonstrati
 STARTS = 30
 MADE = {"source": "made by the test", "licence": "none", "synthetic": True}
 ARENA = Arena("square", 1.0, 1.1)
-SIMULATORS = ("true", "still", "dead", "slow", "uniform", "leaving")
 
 
 def pair_path(rng: np.random.Generator, start: np.ndarray, kind: str) -> np.ndarray:

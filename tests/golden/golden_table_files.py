@@ -193,10 +193,20 @@ def of_cells() -> Iterator[Case]:
         if separator != ",":
             rows = [[*row[:2], f"{900 + 12 * i:,}", "5"] for i, row in enumerate(long_rows())]
             yield Case(f"thousands, {word}", text(joined(LONG, rows, separator)))
+            yield Case(
+                f"thousands, {word}, decimal named", text(joined(LONG, rows, separator)),
+                "long-table", {"decimal": ","},
+            )  # fmt: skip
+            rows = [[*row[:2], row[2].replace(",", "."), "5"] for row in rows]
+            yield Case(f"thousands with points, {word}", text(joined(LONG, rows, separator)))
+            rows = [[*row[:2], f"{i},125", "5"] for i, row in enumerate(long_rows())]
+            yield Case(f"three decimals, {word}", text(joined(LONG, rows, separator)))
             whole = [[*row[:2], "1,000", "2,500"] for row in long_rows()]
             yield Case(f"all in thousands, {word}", text(joined(LONG, whole, separator)))
     truths = [[*row[:2], str(i % 2 == 0), str(i % 3 == 0)] for i, row in enumerate(long_rows())]
     yield Case("truth values for positions", text(joined(LONG, truths)))
+    ones = [[*row[:2], str(i % 2), "1"] for i, row in enumerate(long_rows())]
+    yield Case("zeros and ones for positions", text(joined(LONG, ones)))
     rows = wide_rows()
     named = [*WIDE, "seen"]
     yield Case("truth values beside", text(joined(named, [[*row, "True"] for row in rows])))
@@ -231,11 +241,27 @@ def of_headers() -> Iterator[Case]:
     table = text(joined([*LONG, "angle"], heading))
     yield Case("heading", table, "long-table", options)
     yield Case("heading of no unit", table, "long-table", {"heading": "angle"})
+    yield Case("no individual", text("frame,who,x,y\n0,a,1,2\n"), "long-table")
     yield Case("an unknown option", table, "long-table", {"colour": 1})
     score = [[*row, "0.5"] for row in long_rows()]
     yield Case("confidence", text(joined([*LONG, "likelihood"], score)))
     two = [[name, *row] for name in ("a", "b") for row in long_rows()]
     yield Case("two recordings", text(joined(["trial", *LONG], two)))
+    for style in ("{0}_{1}", "{1}_{0}", "{0}{1}", "{0}.{1}"):
+        for lost in WIDE[1:]:
+            names = ["z" if one == lost else style.format(*one.split("_")) for one in WIDE[1:]]
+            content = joined(["frame", *names], wide_rows())
+            yield Case(f"header {','.join(names)}", text(content), "wide-table")
+    rows = [[str(t + 5), *row[1:]] for t, row in enumerate(wide_rows())]
+    for word, kept in {
+        "late": rows, "a gap": rows[:10] + rows[11:], "a row twice": rows[:10] + rows[9:],
+        "swapped": [*rows[:5], rows[6], rows[5], *rows[7:]],
+    }.items():  # fmt: skip
+        yield Case(f"wide, frames {word}", text(joined(WIDE, kept)))
+    numbers = [row[1:] for row in wide_rows()]
+    bare = text(joined(numbers[0], numbers[1:]))
+    yield Case("no header, wide", bare, "wide-table", {"columns": {"a": numbers[0][:2]}})
+    yield Case("no header, Anipose", bare, "movement", {"software": "Anipose"})
     columns = {"a": ["x_male", "y_male"]}
     yield Case("columns named", text(joined(WIDE, wide_rows())), "wide-table", {"columns": columns})
 
@@ -250,6 +276,8 @@ BAD = {
     "formula": "frame,id,x,y\n0,=A1,1,2\n1,=A1,1,2\n", "path": "frame,id,x,y\n0,../a,1,2\n1,../a,1,2\n",
     "long name": "frame,id,x,y\n0," + "a" * 300 + ",1,2\n", "frames swapped": "frame,x_a,y_a\n1,1,2\n0,1,2\n",
     "frames missing": "frame,x_a,y_a\n0,1,2\n2,1,2\n",
+    "huge": "recording,frame,x,y\nr,0,1,2\nr,1,1e300,2\n", "cut": "frame,id,x,y\n0,a,1,2\n1,a",
+    "times between": "recording,frame,x_a,y_a\na,0,1,2\na,1,1,2\na,1,1,2\nb,0,1,2\nb,1,1,2\n",
 }  # fmt: skip
 
 
@@ -389,6 +417,7 @@ def of_parquet() -> Iterator[Case]:
     yield Case("parquet, text", parquet(x=lambda count: ["1"] * count))
     yield Case("parquet, too large", parquet(x=lambda count: [0, 2**53 + 1] * (count // 2)))
     yield Case("parquet, records", parquet(x=lambda count: [{"a": 1}] * count))
+    yield Case("parquet, a frame below 0", parquet(frame=lambda count: [-1] * count))
     yield Case("parquet, frame twice", parquet(frame=lambda count: [0] * count))
     yield Case("parquet, no clock", parquet(frame=lambda count: [None] * count))
     moments = np.datetime64("2024-05-01") + np.arange(FRAMES).repeat(2) * np.timedelta64(40, "ms")
@@ -485,6 +514,28 @@ def hdf_changed(make: Write, change: Callable[[Any], None]) -> Write:
     return write
 
 
+def without(column: str, header: int) -> Callable[[list[str]], list[str]]:
+    """Drop the first column of this name in a line of the header."""
+
+    def change(rows: list[str]) -> list[str]:
+        cells = [row.split(",") for row in rows]
+        at = cells[header].index(column)
+        return [",".join(row[:at] + row[at + 1 :]) for row in cells]
+
+    return change
+
+
+def set_field(key: str, column: str, value: int | None, row: int = 30) -> Callable[[Any], None]:
+    """Write a value into a row of a table, by default that of its first row."""
+
+    def change(file: Any) -> None:
+        rows = file[key][()]
+        rows[column][row] = rows[column][0] if value is None else value
+        file[key][...] = rows
+
+    return change
+
+
 def single_animal(folder: Path) -> Path:
     single = dlc_frame()["net"]["male"]
     lines = [
@@ -510,6 +561,10 @@ def of_trackers() -> Iterator[Case]:
     for word, change in {
         "a frame missing": lambda rows: rows[:14] + rows[15:],
         "a frame twice": lambda rows: rows[:14] + rows[13:],
+        "frames swapped": lambda rows: [*rows[:9], rows[10], rows[9], *rows[11:]],
+        "the first frame missing": lambda rows: rows[:4] + rows[5:],
+        "no frames": lambda rows: rows[:4] + ["," + row.partition(",")[2] for row in rows[4:]],
+        "names of frames": lambda rows: rows[:4] + [f"img{row}" for row in rows[4:]],
         "gaps": lambda rows: [*rows[:9], "5" + "," * 12, *rows[10:]],
         "a word": lambda rows: [*rows[:9], rows[9].replace(".", "x", 1), *rows[10:]],
         "truth values": lambda rows: [*rows[:9], "5" + ",True" * 12, *rows[10:]],
@@ -517,6 +572,19 @@ def of_trackers() -> Iterator[Case]:
         for source in ("deeplabcut", "movement"):
             options = {"fps": 25.0}
             yield Case(f"{source}, {word}", lines_changed(write_dlc_csv, change), source, options)
+    for lost in ("x", "y"):
+        yield Case(f"deeplabcut, no {lost}", lines_changed(write_dlc_csv, without(lost, 3)))
+    for table, column, value in (
+        ("instances", "instance_id", None), ("frames", "frame_id", None), ("instances", "frame_id", 10**6)
+    ):  # fmt: skip
+        yield Case(
+            f"slp, {column} of {table} {value or 'twice'}",
+            hdf_changed(write_slp, set_field(table, column, value)),
+        )
+    yield Case(
+        "dlc h5, a frame of another number",
+        hdf_changed(write_dlc_h5, set_field("df_with_missing/table", "index", 70, 7)),
+    )
     scores = {"other": np.ones((2, 2)), "one": np.ones((2, 2, 39)), "words": np.array([b"a"])}
     for word, wrong in scores.items():
 
@@ -547,15 +615,25 @@ def of_trackers() -> Iterator[Case]:
     yield Case(
         "mothvr, a frame missing", lines_changed(write_mothvr, lambda rows: rows[:9] + rows[10:])
     )
-    yield Case(
-        "authors-silkmoth, a frame missing",
-        lines_changed(write_authors_silkmoth, lambda rows: rows[:9] + rows[10:]),
-    )
+    for word, change in {
+        "a frame missing": lambda rows: rows[:9] + rows[10:],
+        "a frame twice": lambda rows: rows[:10] + rows[9:],
+        "frames swapped": lambda rows: [*rows[:5], rows[6], rows[5], *rows[7:]],
+        "begun late": lambda rows: rows[3:],
+    }.items():
+        yield Case(f"authors-silkmoth, {word}", lines_changed(write_authors_silkmoth, change))
+    agents = agents_arrays()
+    gap = agents["pos"].copy()
+    gap[8, 1] = np.nan
+    empty = {key: agents[key][:0] for key in ("pos", "actions", "n_steps", "outcome")}
     for word, changes in {
         "dt": {"meta": np.array('{"cond": "x_share", "dt": 0}')}, "action": {"actions": np.full((17, 3), 99)},
         "steps": {"n_steps": np.array([0, 8, 9])}, "frames": {"pos": np.zeros((19, 3, 2))},
+        "gap": {"pos": gap}, "no frames": empty, "one individual": {"pos": agents["pos"][:, :1]},
+        "outside": {"pos": agents["pos"] * 100}, "twice": {"pos": agents["pos"][:, [0, 0, 2]]},
+        "meta": {"meta": np.array("x")}, "pickle": {"pos": np.array([{"a": 1}], dtype=object)},
     }.items():  # fmt: skip
-        yield Case(f"agents, {word}", archive(**(agents_arrays() | changes)), "agents")
+        yield Case(f"agents, {word}", archive(**(agents | changes)), "agents")
 
 
 def with_gap(pose: Any) -> Any:

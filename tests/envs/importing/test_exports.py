@@ -85,16 +85,6 @@ def saved(table: pd.DataFrame, **how: Any) -> Callable[[Path], object]:
     return lambda path: table.to_csv(path, **{"index": False} | how)
 
 
-def spelt(text: Callable[[str], str], table: pd.DataFrame, **how: Any) -> Callable[[Path], object]:
-    """Saved by pandas, then changed as text."""
-
-    def write(path: Path) -> None:
-        encoding = how.pop("as_encoding", "utf-8")
-        path.write_bytes(text(table.to_csv(index=False, **how)).encode(encoding))
-
-    return write
-
-
 def ethovision(path: Path) -> None:
     """A subject, semicolons at the ends of lines, ``-`` where it was not found."""
     lines = [
@@ -167,11 +157,8 @@ EXPORTS = {
     "R write.csv2": Export(
         saved(TIMED, sep=";", decimal=","), SPOKEN, pandas={"sep": ";", "decimal": ","}
     ),
-    "semicolons": Export(saved(LONG, sep=";"), PLAIN, pandas={"sep": ";"}, timed=False),
     "tabs in txt": Export(saved(TIMED, sep="\t"), SPOKEN, "a.txt", {"sep": "\t"}),
-    "tabs in csv": Export(saved(TIMED, sep="\t"), SPOKEN, "a.csv", {"sep": "\t"}),
     "tabs in xls": Export(saved(TIMED, sep="\t"), SPOKEN, "a.xls", {"sep": "\t"}),
-    "bars": Export(saved(TIMED, sep="|"), SPOKEN, "a.dat", {"sep": "|"}),
     "blanks": Export(
         lambda path: path.write_text(TIMED.to_string(index=False) + "\n"), SPOKEN, "a.txt",
         {"sep": r"\s+"},
@@ -184,26 +171,14 @@ EXPORTS = {
         saved(TIMED, sep="\t", encoding="utf-16"), SPOKEN, "a.txt",
         {"sep": "\t", "encoding": "utf-16"},
     ),
-    "UTF-16 without a mark": Export(
-        saved(TIMED, encoding="utf-16-le"), SPOKEN, pandas={"encoding": "utf-16-le"}
-    ),
     "Latin-1": Export(
         saved(GERMAN.replace({"Tier": {"male": "Männchen"}}), encoding="latin-1"),
         ("Zeit", "Tier", "X", "Y"), pandas={"encoding": "latin-1"},
     ),
-    "Windows line ends": Export(saved(LONG, lineterminator="\r\n"), PLAIN, timed=False),
     "units in the names": Export(
         saved(long(time="t [ms]", id="Animal ID", x="x (mm)", y="y (mm)").assign(
             **{"t [ms]": np.repeat(np.arange(COUNT), 2) * 40})),
         ("t [ms]", "Animal ID", "x (mm)", "y (mm)"), unit="mm",
-    ),
-    "a row of units": Export(
-        spelt(lambda text: text.replace("\n", "\ns,,cm,cm\n", 1), TIMED), SPOKEN,
-        pandas={"skiprows": [1]}, unit="cm",
-    ),
-    "lines before the header": Export(
-        spelt(lambda text: "# made by our tracker\nfps: 25\n\n" + text, TIMED), SPOKEN,
-        pandas={"skiprows": 3},
     ),
     "ISO times": Export(
         saved(long(iso="timestamp", id="animal", x="pos_x", y="pos_y")),
@@ -230,10 +205,6 @@ EXPORTS = {
     "a workbook with lines before": Export(
         tables(startrow=4), ("Frame", "Animal", "X (mm)", "Y (mm)"), "a.xlsx", {"skiprows": 4},
         unit="mm", timed=False,
-    ),
-    "wide": Export(
-        saved(wide(time="time", x0="x_male", y0="y_male", x1="x_female", y1="y_female")),
-        (("x_male", "y_male"), ("x_female", "y_female")),
     ),
     "wide with capitals and units": Export(
         saved(wide(time="Time (s)", x0="X1 (cm)", y0="Y1 (cm)", x1="X2 (cm)", y1="Y2 (cm)"),
