@@ -16,12 +16,8 @@ PLAIN = ConfigDict(strict=True, allow_inf_nan=False)
 class Checked(BaseModel):
     """Frozen settings; fields carry their default, range and, as a string below them, their prose.
 
-    Whole numbers may be written as floats, and any as NumPy's.
-
-    Raises
-    ------
-    InputError
-        If one is unknown, missing or out of its range.
+    Whole numbers may be written as floats, and any as NumPy's. Raises InputError if one is unknown,
+    missing or out of its range.
     """
 
     model_config = PLAIN | ConfigDict(
@@ -44,18 +40,17 @@ class Checked(BaseModel):
         }
 
     @classmethod
-    def read(cls, given: dict[str, Any], place: str) -> dict[str, Any]:
-        """Return ``given`` with every value checked.
-
-        Raises
-        ------
-        InputError
-            The sentence starts with ``place``.
-        """
+    def of(cls, given: dict[str, Any], place: str) -> Self:
+        """Return ``given`` as settings; the sentence of an InputError starts with ``place``."""
         try:
-            whole = cls(**given)
+            return cls(**given)
         except InputError as error:
             raise InputError(f"{place}{error}") from None
+
+    @classmethod
+    def read(cls, given: dict[str, Any], place: str) -> dict[str, Any]:
+        """Return ``given`` with every value checked, as :meth:`of` does."""
+        whole = cls.of(given, place)
         return {name: getattr(whole, name) for name in given}
 
     def changed(self, **values: Any) -> Self:

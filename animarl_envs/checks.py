@@ -63,12 +63,8 @@ def check_names(place: str, what: str, names: Iterable[object]) -> None:
 
     A name is data from a file: it is shown, drawn, and written into tables and pages. It has 1 to
     200 characters that can be printed, does not begin as a formula does (a negative number is
-    none), and no part of it between slashes is ``..``, or empty at its start.
-
-    Raises
-    ------
-    InputError
-        It shows the name with whatever cannot be printed written out.
+    none), and no part of it between slashes is ``..``, or empty at its start. Raises InputError: it
+    shows the name with whatever cannot be printed written out.
     """
     for name in names:
         if not isinstance(name, str) or not name.strip():
@@ -114,10 +110,7 @@ def focus_rule(words: str) -> FocusRule:
     ``course``: its own; ``nearest``: the nearest other; ``centre K``: the centre of the K nearest;
     ``direction X Y``: a fixed one; ``point X Y``: a place [arena unit].
 
-    Raises
-    ------
-    InputError
-        If they name none.
+    Raises InputError if they name none.
     """
     name, *numbers = str(words).split()
     try:

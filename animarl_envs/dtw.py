@@ -155,6 +155,8 @@ class DTWTracker:
     Put into ``world.trackers``: the world tells it when episodes start and when a step is done, so
     that a copy's rows are reset with that copy, whoever resets it.
 
+    Raises InputError if there are no demonstrations, or no such penalty.
+
     Parameters
     ----------
     demos
@@ -176,11 +178,6 @@ class DTWTracker:
         ``(B, F)``, the recorded step aligned with the present one, its ``argmin``.
     final_minimum, final_aligned
         The two as they were after the last step, also where a copy has been reset since.
-
-    Raises
-    ------
-    InputError
-        If there are no demonstrations, or no such penalty.
     """
 
     KINDS = ("closeness", "increment", "cumulative")

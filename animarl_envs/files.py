@@ -58,13 +58,9 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
     """Hand out a temporary path beside ``path``; rename it to ``path`` if the block succeeds.
 
     An error or Ctrl-C inside the block removes the temporary file and leaves ``path`` as it was.
-    After a kill it stays until the same path is written again.
-    The temporary name ends like ``path``, for libraries that look at the suffix.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written: a full disk, a folder that is not writable.
+    After a kill it stays until the same path is written again. The temporary name ends like
+    ``path``, for libraries that look at the suffix. Raises InputError if the file cannot be
+    written: a full disk, a folder that is not writable.
     """
     path = Path(path)
     require(not path.is_dir(), f"{path}: it is a folder: name a file")
@@ -79,12 +75,8 @@ def all_files_or_none(folder: str | Path) -> Iterator[Path]:
     """Hand out an empty folder beside ``folder``; move its files there if the block succeeds.
 
     An error or Ctrl-C inside the block leaves ``folder`` as it was, with all results of before.
-    Afterwards files of the same name are replaced; others that lie there stay.
-
-    Raises
-    ------
-    InputError
-        If ``folder`` is a file, or something cannot be written: a full disk, no permission.
+    Afterwards files of the same name are replaced; others that lie there stay. Raises InputError if
+    ``folder`` is a file, or something cannot be written: a full disk, no permission.
     """
     folder = Path(folder)
     require(folder.is_dir() or not folder.exists(), f"{folder}: it is a file: name a folder")
@@ -215,10 +207,7 @@ def npz_members(path: Path) -> set[str]:
 def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
     """All arrays of an ``.npz``, by name; ``unpickle`` is as of :func:`load_npy`.
 
-    Raises
-    ------
-    InputError
-        If it is none, damaged, holds a pickle, or asks for more memory than it may.
+    Raises InputError if it is none, damaged, holds a pickle, or asks for more memory than it may.
     """
     refuse_special(path)
     found, total = {}, 0
@@ -250,10 +239,7 @@ def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
 def load_npy(raw: bytes, path: Path, member: str = "", unpickle: Unpickle | None = None) -> Any:
     """Return the array in an ``.npy`` stream; of objects, what ``unpickle`` makes of their pickle.
 
-    Raises
-    ------
-    InputError
-        If it is damaged, too large, or of another kind than numbers and text.
+    Raises InputError if it is damaged, too large, or of another kind than numbers and text.
     """
     stream, place = io.BytesIO(raw), f"{path}: {member}" if member else str(path)
     try:
@@ -304,11 +290,8 @@ DEEPEST = 50  # tables and lists within each other
 def read_yaml(path: Path) -> Any:
     """The data in a YAML file.
 
-    Raises
-    ------
-    InputError
-        If it is no file, too long, not valid, names code, repeats itself too often, or gives a key
-        twice.
+    Raises InputError if it is no file, too long, not valid, names code, repeats itself too often,
+    or gives a key twice.
     """
     refuse_special(path)
     short = path.stat().st_size <= LONGEST

@@ -242,24 +242,12 @@ def apply_actions(
 
     The other arrays are those of :func:`infer_actions`.
     """
-    acceleration = _turned(locomotion.action_vectors[actions], focus)
+    ahead, left = np.moveaxis(locomotion.action_vectors[actions], -1, 0)
+    x, y = np.moveaxis(focus, -1, 0)
+    acceleration = np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)
     return next_velocity(velocity, acceleration, locomotion.damping, locomotion.thrust, dt)
 
 
-def action_directions(
-    actions: NDArray[np.integer], focus: NDArray[np.floating], num_actions: int = NUM_ACTIONS
-) -> NDArray[np.float64]:
-    """Return the directions of ``actions`` ``(...,)``: ``(..., 2)``, arena frame, length 1 or 0.
-
-    ``focus`` ``(..., 2)`` are unit vectors towards the focus, arena frame; the last of
-    ``num_actions`` actions is to coast.
-    """
-    direction = np.where(actions == num_actions - 1, COAST, actions % NUM_DIRECTIONS)
-    return _turned(ACTION_VECTORS[direction], focus)
-
-
-def _turned(egocentric: NDArray[np.floating], focus: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Vectors ``(..., 2)`` of the egocentric frame in the arena frame."""
-    ahead, left = np.moveaxis(egocentric, -1, 0)
-    x, y = np.moveaxis(focus, -1, 0)
-    return np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)
+def shorter_turn(end: NDArray[Any], start: NDArray[Any]) -> NDArray[np.float64]:
+    """Return turns between angles [rad] by the shorter way, in [-pi, pi)."""
+    return np.asarray((end - start + np.pi) % (2.0 * np.pi) - np.pi)

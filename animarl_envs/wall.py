@@ -60,6 +60,9 @@ def call(
 ) -> Any:
     """Return ``function(*arguments)``, called in a limited process.
 
+    Raises InputError as raised by the function, or if it crashes, takes too long or needs too much
+    memory. Raises MissingExtraError as raised by the function.
+
     Parameters
     ----------
     function
@@ -69,13 +72,6 @@ def call(
         the limit of time.
     progress
         If given, ``function`` has a keyword ``progress``, what it tells is passed on.
-
-    Raises
-    ------
-    InputError
-        As raised by the function, or if it crashes, takes too long or needs too much memory.
-    MissingExtraError
-        As raised by the function.
     """
     if resource is None:
         return function(*arguments, **({} if progress is None else {"progress": progress}))
@@ -111,10 +107,7 @@ def call(
 def search_names(pattern: str, names: Sequence[str], place: str) -> list[Groups | None]:
     """Return the groups that ``pattern`` finds in each name, ``None`` where it does not fit.
 
-    Raises
-    ------
-    InputError
-        If it is no regular expression, or takes too long.
+    Raises InputError if it is no regular expression, or takes too long.
     """
     try:
         re.compile(pattern)

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3.common.logger import Logger
 
-from animarl_algos.cli.run import parse_settings
+from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import path_lengths

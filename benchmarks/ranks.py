@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3.common.logger import Logger
 
-from animarl_algos.cli.run import parse_settings
+from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.presets import LearnerPreset, constructed, learner_preset
 from animarl_algos.learner.pretraining import Figures

@@ -35,7 +35,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import LinearSchedule
 
-from animarl_algos.cli.run import parse_settings
+from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.presets import constructed, learner_preset

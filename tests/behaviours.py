@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.focus import focus_directions
-from animarl_envs.locomotion import COAST, NUM_ACTIONS, action_directions
+from animarl_envs.locomotion import COAST, NUM_ACTIONS, Locomotion, apply_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
@@ -29,7 +29,8 @@ MakeTracker = Callable[[World, float], DTWTracker]
 def thirteen_directions(world: World) -> NDArray[np.float64]:
     """Where each action accelerates each individual to, ``(B, K, 13, 2)``, arena frame."""
     focus = focus_directions(world.position, world.scenario.species.roles)
-    return action_directions(np.arange(NUM_ACTIONS), focus[:, :, None])
+    pushed = np.arange(NUM_ACTIONS), focus[:, :, None], Locomotion(0.0, 1.0), 1.0
+    return apply_actions(np.zeros(2), *pushed)
 
 
 def tracking(world: World, rng: np.random.Generator) -> Actions:

@@ -210,17 +210,14 @@ def plot_command(file: DemosArgument, out: OutOption) -> None:
 def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstrations:
     """The demonstrations of several files, in their order.
 
+    Raises InputError if the sets do not fit together, or conditions are not one for each file.
+
     Parameters
     ----------
     files
         Two or more.
     conditions
         Of each file, such as ``0,1`` or ``control,drug``; by default those of their episodes.
-
-    Raises
-    ------
-    InputError
-        If the sets do not fit together, or conditions are not one for each file.
     """
     several = f"{files[0]}: there is nothing to merge it with: give two files or more"
     require(len(files) > 1, several)

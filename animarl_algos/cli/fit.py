@@ -41,7 +41,8 @@ MATTERS = 0.1  # relative difference of thrusts that is worth a warning
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
 MethodChoice = Literal["joint", "onset", "noise", "both"]
 """What ``--method`` takes."""
-THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+Columns = dict[str, tuple[str, Callable[[Any], str]]]
+THRUST_COLUMNS: Columns = {
     "thrusts": ("thrusts", str),
     "individual": ("individual", str),
     "damping": ("d", "{:.4f}".format),
@@ -54,7 +55,7 @@ THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "floor": ("floor\n(AUC)", lambda floor: f"{floor:.2f}" if math.isfinite(floor) else "-"),
 }
 """Of the table of ``--thrusts``: by name in the file, the heading and how a value is shown."""
-STATE_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+STATE_COLUMNS: Columns = {
     "individual": ("individual", str),
     "states": ("states", str),
     "thrusts": ("thrusts", str),
@@ -200,12 +201,22 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
     return _table(title, caption, rows)
 
 
-def _table(title: str, caption: str, rows: Sequence[dict[str, str]]) -> Table:
+def _table(
+    title: str, caption: str, rows: Sequence[dict[str, Any]], columns: Columns | None = None
+) -> Table:
+    """``columns`` say how values are headed and shown, where these are not texts already."""
+    shown = (
+        rows
+        if columns is None
+        else [
+            {heading: show(row[name]) for name, (heading, show) in columns.items()} for row in rows
+        ]
+    )
     table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
-    for heading in rows[0]:
+    for heading in shown[0]:
         side: Any = "left" if heading == "individual" else "right"
         table.add_column(heading, justify=side, no_wrap=True)
-    for row in rows:
+    for row in shown:
         table.add_row(*map(Text, row.values()))
     return table
 
@@ -260,10 +271,7 @@ def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
 def parse_numbers(option: str, given: str | None, most: int) -> tuple[int, ...]:
     """Return the numbers in ``1,2,3``, each once, in order; none where nothing is given.
 
-    Raises
-    ------
-    InputError
-        If one is no whole number from 1 to ``most``.
+    Raises InputError if one is no whole number from 1 to ``most``.
     """
     texts = [] if given is None else [text.strip() for text in given.split(",")]
     if not all(text.isdecimal() and 1 <= int(text) <= most for text in texts):
@@ -304,10 +312,6 @@ def _compare_thrusts(
                 float(errors[i]), float(speeds[i]), one.terminal_speed, float(fast[i]), floor,
             )  # fmt: skip
             rows.append(dict(zip(THRUST_COLUMNS, found, strict=True)))
-    cells = [
-        {heading: show(row[name]) for name, (heading, show) in THRUST_COLUMNS.items()}
-        for row in rows
-    ]
     kind = "synthetic" if seen.synthetic else "recorded"
     caption = (
         f"{len(seen)} {kind} episodes ({split or 'all'}) followed in closed loop. Tracking error: "
@@ -315,7 +319,7 @@ def _compare_thrusts(
         "speeds over the mean recorded speed. Floor: how often a classifier ranks tracked motion "
         "above recorded motion (0.5: cannot tell them apart). Lengths in arena units."
     )
-    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, cells))
+    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, rows, THRUST_COLUMNS))
     if len(numbers) > 1:
         best, reason = thrusts_and_reason(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")
@@ -349,11 +353,7 @@ def _compare_states(
         "nats a step of validation episodes (the higher, the better). Lengths in arena units. "
         "Simulators have one state; this table says what that leaves out."
     )
-    cells = [
-        {heading: show(row[name]) for name, (heading, show) in STATE_COLUMNS.items()}
-        for row in rows
-    ]
-    console.print(_table(f"States of {demos.species}", caption, cells))
+    console.print(_table(f"States of {demos.species}", caption, rows, STATE_COLUMNS))
     for sentence in words:
         console.print(sentence)
     return [row | {"thrust": " ".join(map(str, row["thrust"]))} for row in rows]

@@ -11,7 +11,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import typer
-import yaml
 from rich.console import Console
 from rich.progress import Progress
 
@@ -23,7 +22,7 @@ from animarl_algos.cli.describing import (
     understood,
     wide_console,
 )
-from animarl_algos.cli.shared import CONTEXT, asks_for, option
+from animarl_algos.cli.shared import CONTEXT, asks_for, option, parse_settings
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing.cleaning import Cleaning, Scaling
@@ -32,7 +31,6 @@ from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import Reader, default_recipe, find_reader, follow, read
 from animarl_envs.importing.sessions import AUTO
 
-SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
 NOBODY = "none"  # is the target
 OF_FINISHED = {"files", "source", "out", "dry_run", "condition", "option"}  # what they go with
 FILES: list[inspect.Parameter] = [
@@ -92,7 +90,7 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
         for more in files[1:]:
             raise InputError(f"{more}: files of source {reader.name} are imported one by one")
         _refuse_beside_finished(files[0], context)
-        finished = read(files[0], reader.name, **_options(given["option"]))
+        finished = read(files[0], reader.name, **parse_settings(given["option"], "--option"))
         if (condition := given["condition"]) is not None:
             finished = replace(finished, condition=np.full(len(finished), condition, dtype=np.int8))
         report(finished, None if dry_run else out, None)
@@ -138,7 +136,7 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
     if unsaid and base.target is None and not base.searcher:
         given["target"] = AUTO
     record = json.loads(json.dumps(base.to_dict()))
-    given["option"] = _options(given["option"]) or None
+    given["option"] = parse_settings(given["option"], "--option") or None
     given["cut"] = given["cut"] or (
         "approach" if given["farther_than"] else "events" if given["events"] else None
     )
@@ -164,16 +162,3 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
     if target == NOBODY:
         record["target"] = None
     return ImportRecipe.from_dict(record, "the options given")
-
-
-def _options(given: list[str] | None) -> dict[str, Any]:
-    found = {}
-    for entry in given or []:
-        name, equals, value = entry.partition("=")
-        require(equals, f"option {entry!r} has no '=': write name=value")
-        try:
-            plain = value.strip() in SIGNS
-            found[name.strip()] = value.strip() if plain else yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise InputError(f"option {entry!r} has a value that is no YAML: quote it") from None
-    return found

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_origin
 
 import typer
-import yaml
 from rich.text import Text
 
 from animarl_algos.cli.shared import (
@@ -22,6 +21,7 @@ from animarl_algos.cli.shared import (
     asks_for,
     helps,
     option,
+    parse_settings,
     suggest_import_on_error,
 )
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
@@ -190,26 +190,6 @@ def report_command(run: Path) -> None:
     from animarl_algos.runs.run import Run
 
     PlainConsole(WIDTH).print(f"Open {pipeline.report(Run(run))}")
-
-
-def parse_settings(given: list[str] | None) -> dict[str, Any]:
-    """Return ``KEY=VALUE`` pairs; values are read as YAML data.
-
-    Raises
-    ------
-    InputError
-        If there is no ``=`` or the value is not valid YAML.
-    """
-    settings: dict[str, Any] = {}
-    for pair in given or []:
-        key, equals, value = pair.partition("=")
-        if not equals or not key:
-            raise InputError(f"--set {pair}: write KEY=VALUE")
-        try:
-            settings[key] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise InputError(f"--set {pair}: the value is not valid ({error})") from error
-    return settings
 
 
 def _open(given: dict[str, Any]) -> Run:

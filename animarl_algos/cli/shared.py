@@ -28,6 +28,7 @@ from animarl_envs.importing.readers import read
 CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 ALL = "all"
 SOURCE = "--source"
+DECIMAL_SIGNS = {",", "."}
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 Command = Callable[..., None]
 
@@ -89,6 +90,25 @@ def helps(**texts: Any) -> Callable[[Command], Command]:
         return asks_for(listed)(command)
 
     return decorate
+
+
+def parse_settings(given: list[str] | None, flag: str = "--set", sign: str = "=") -> dict[str, Any]:
+    """Return ``KEY=VALUE`` pairs; values are read as YAML data, but for a sign alone (, or .).
+
+    Raises InputError if there is no ``sign``, or the value is not valid YAML.
+    """
+    import yaml  # of another extra than the command line
+
+    found: dict[str, Any] = {}
+    for pair in given or []:
+        key, there, value = (part.strip() for part in pair.partition(sign))
+        if not there or not key:
+            raise InputError(f"{flag} {pair}: write KEY{sign}VALUE")
+        try:
+            found[key] = value if value in DECIMAL_SIGNS else yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise InputError(f"{flag} {pair}: the value is not valid YAML ({error})") from None
+    return found
 
 
 # -- files ----------------------------------------------------------------------------------------

@@ -170,6 +170,9 @@ def prepare(
 ) -> tuple[World, Actor]:
     """Return the world of an environment id with one copy, and who acts in it.
 
+    Raises InputError if the id is unknown or none of this suite, an option is not valid, or the
+    model has no trained policy, or one of another species or of other individuals.
+
     Parameters
     ----------
     env
@@ -180,12 +183,6 @@ def prepare(
         Whether all individuals of the model's world follow its recordings.
     options
         Of :func:`animarl_envs.scenario.make_scenario`; they win over those of the id.
-
-    Raises
-    ------
-    InputError
-        If the id is unknown or none of this suite, an option is not valid, or the model has no
-        trained policy, or one of another species or of other individuals.
     """
     run = None if model is None else _load_run(model, acting)
     if env is None:

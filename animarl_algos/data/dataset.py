@@ -49,6 +49,9 @@ class OfflineDataset:
     steps has T + 1 frames; what belongs to a step stands at the frame it starts from, and the
     entries of the last frame are not read.
 
+    Raises InputError if shapes disagree, an action is missing within an episode, or a value is not
+    finite.
+
     Parameters
     ----------
     observations
@@ -83,11 +86,6 @@ class OfflineDataset:
     ----------
     individuals
         The ``names`` that were given, ``None`` if none were: whose demonstrations they are.
-
-    Raises
-    ------
-    InputError
-        If shapes disagree, an action is missing within an episode, or a value is not finite.
     """
 
     def __init__(

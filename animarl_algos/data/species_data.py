@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.checked import POSITIVE, Range
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.replay.sequence_buffer import available_memory
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -39,15 +37,6 @@ class Labels(StrEnum):
     HARD = "hard"  # the action nearest to the recorded acceleration, at recorded states
     SOFT = "soft"  # a probability for each action, by how near it would have led
     TRACKING = "tracking"  # actions that follow the recording, at the states they lead to
-
-
-def available_memory() -> float:
-    """Bytes that can be taken, infinity where the system does not say."""
-    with suppress(OSError):
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024.0 * int(line.split()[1])
-    return math.inf
 
 
 def check_labels(labels: str, width: float, horizon: float = 1.0) -> None:
@@ -127,7 +116,7 @@ class SpeciesDemonstrations:
         components = len(observation_components(species))
         needed = rows * (PER_ACTION * species.num_actions + PER_COMPONENT * components)
         free = available_memory()
-        if needed > free:
+        if free is not None and needed > free:
             raise InputError(
                 f"{demos.name} ({split}): {demos.num_individuals} animals with "
                 f"{species.num_actions} actions take about {needed / 1e9:.1f} GB of memory, and "

@@ -117,10 +117,7 @@ class SequenceQLearning(BaseLearner):
         One that is over stays as it is, also if ``offline_epochs`` is raised. With ``exploration``
         ``"boltzmann"`` the temperatures are fitted to its outcome, for all steps that follow.
 
-        Raises
-        ------
-        InputError
-            If there are no ``offline_epochs``, or the demonstrations do not suit.
+        Raises InputError if there are no ``offline_epochs``, or the demonstrations do not suit.
         """
         if not self.offline_epochs:
             raise InputError("there is nothing to pretrain: give offline_epochs")

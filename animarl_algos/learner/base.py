@@ -214,7 +214,7 @@ class BaseLearner(OffPolicyAlgorithm):
         self.train_freq = as_frequency(self.train_freq)  # type: ignore[assignment]
         if self.seed is not None:
             self.seed = SEED.check("seed", self.seed)
-        self.offline_settings = OfflineSettings.of(self.offline_kwargs)
+        self.offline_settings = OfflineSettings.of(self.offline_kwargs, "offline_kwargs: ")
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         if self.env is not None:

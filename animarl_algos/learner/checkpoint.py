@@ -2,17 +2,15 @@
 
 From a checkpoint a run goes on exactly: same weights as if it had never been stopped (CPU).
 
-A checkpoint is a folder ``checkpoint_000012`` with
+A checkpoint is one archive of arrays: ``model``, the bytes of online and target networks,
+optimiser, best weights of the offline phase and torch's random state (tensors only, read with
+``weights_only=True``); ``replay/...``, the replay memory with its open episodes; ``run/...``, last
+observations, recurrent states, the running worlds; and ``state``, JSON with counters, schedules,
+NumPy's and Python's random states, and what it belongs to.
 
-- ``model.pt``: online and target networks, optimiser, best weights of the offline phase, torch's
-  random state (tensors only, read with ``weights_only=True``);
-- ``replay.npz``: the replay memory with its open episodes;
-- ``run.npz``: last observations, recurrent states, the running worlds;
-- ``state.json``: counters, schedules, NumPy's and Python's random states, and what it belongs to.
-
-It is written under a temporary name, flushed to disk, then renamed; only then are older ones
-removed. A kill at any moment, a full disk or an unwritable folder leaves the last one whole.
-Checkpoints are taken between updates only (``boundary_hooks`` of a learner), never within a step.
+It is written under a temporary name, flushed to disk, then renamed over the one before. A kill at
+any moment, a full disk or an unwritable folder leaves the last one whole. Checkpoints are taken
+between updates only (``boundary_hooks`` of a learner), never within a step.
 """
 
 from __future__ import annotations
@@ -21,11 +19,9 @@ import io
 import json
 import os
 import random
-import re
-import shutil
 import textwrap
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -40,10 +36,8 @@ from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
-FORMAT = 2
-PREFIX = "checkpoint_"
-OWN_NAME = re.compile(PREFIX + r"\d+(\.part)?")
-
+FORMAT = 3
+FILE = "checkpoint.npz"
 
 State = tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]
 """All that a learner needs to go on exactly, but its replay memory: counters (JSON-like), arrays
@@ -54,77 +48,42 @@ SAVED_BY = "saved_by"
 
 
 def latest_checkpoint(folder: str | Path) -> Path | None:
-    """Return the newest whole checkpoint in ``folder``, or None."""
-    whole = [path for path in _written(folder) if path.suffix != ".part"]
-    return max(whole, key=_number, default=None)
-
-
-def _written(folder: str | Path) -> list[Path]:
-    """Return all checkpoints, unfinished ones (``.part``) too, but not copies of other names."""
-    return [p for p in Path(folder).glob(PREFIX + "*") if OWN_NAME.fullmatch(p.name)]
-
-
-def _number(checkpoint: Path) -> int:
-    return int(checkpoint.stem.removeprefix(PREFIX))
+    """Return the checkpoint in ``folder``, or None."""
+    file = Path(folder) / FILE
+    return file if file.exists() else None
 
 
 def steps_done(checkpoint: Path) -> int:
     """Return the world steps that a run had done at a checkpoint."""
-    with _damage_refused(checkpoint):
-        return int(_state(checkpoint)["counters"]["num_timesteps"])
+    with _opened_checkpoint(checkpoint) as (state, _):
+        return int(state["counters"]["num_timesteps"])
 
 
 def save_checkpoint(model: Any, folder: str | Path) -> Path:
-    """Write a checkpoint of ``model`` into ``folder`` and remove those before.
+    """Write a checkpoint of ``model`` into ``folder``, in place of the one before.
 
-    Raises
-    ------
-    InputError
-        If it cannot be written; what was there before is untouched.
+    Raises InputError if it cannot be written; what was there before is untouched.
     """
-    folder = Path(folder)
-    previous = latest_checkpoint(folder)
-    number = 0 if previous is None else _number(previous) + 1
-    target = folder / f"{PREFIX}{number:06d}"
-    part = target.with_suffix(".part")
-    try:
-        _remove_all_but(previous, folder)
-        part.mkdir(parents=True)
-        counters, arrays, tensors = model.training_state()
-        tensors = tensors | {"torch_random_state": torch.get_rng_state()}
-        _write(part / "model.pt", lambda file: file.write(serialise_tensors(tensors)))
-        if model.replay_buffer is not None:
-            replay = model.replay_buffer.state()
-            _write(part / "replay.npz", lambda file: np.savez(file, **replay))
-        _write(part / "run.npz", lambda file: np.savez(file, **arrays))
-        generator, keys, *rest = np.random.get_state()  # noqa: NPY002
-        state = {
-            "format": FORMAT,
-            "identity": model.identity(),
-            "counters": counters,
-            "numpy_random_state": [generator, np.asarray(keys).tolist(), *rest],
-            "python_random_state": random.getstate(),
-        }
-        _write(part / "state.json", lambda file: file.write(json.dumps(state).encode()))
-        _sync_folder(part)
-        part.rename(target)
-        _sync_folder(folder)
-    except OSError as error:
-        raise InputError(
-            f"{target}: the checkpoint cannot be written ({error.strerror or error}): make room or "
-            "choose a writable folder; the last checkpoint is untouched"
-        ) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-    _remove_all_but(target, folder)
+    counters, arrays, tensors = model.training_state()
+    tensors = tensors | {"torch_random_state": torch.get_rng_state()}
+    generator, keys, *rest = np.random.get_state()  # noqa: NPY002
+    state = {
+        "format": FORMAT,
+        "identity": model.identity(),
+        "counters": counters,
+        "numpy_random_state": [generator, np.asarray(keys).tolist(), *rest],
+        "python_random_state": random.getstate(),
+    }
+    parts: dict[str, Any] = {f"run/{name}": array for name, array in arrays.items()}
+    if model.replay_buffer is not None:
+        parts |= {f"replay/{name}": value for name, value in model.replay_buffer.state().items()}
+    parts["model"] = np.frombuffer(serialise_tensors(tensors), dtype=np.uint8)
+    target = Path(folder) / FILE
+    with write_then_rename(target) as part, part.open("wb") as file:
+        np.savez(file, state=np.array(json.dumps(state)), **parts)
+        file.flush()
+        os.fsync(file.fileno())
     return target
-
-
-def _remove_all_but(kept: Path | None, folder: Path) -> None:
-    """Remove older and unfinished checkpoints; what cannot be removed is tried again later."""
-    for path in _written(folder):
-        if path != kept:
-            shutil.rmtree(path, ignore_errors=True)
 
 
 def serialise_tensors(tensors: dict[str, Any]) -> bytes:
@@ -137,14 +96,14 @@ def serialise_tensors(tensors: dict[str, Any]) -> bytes:
 def load_tensors(file: Path) -> Any:
     """Return the tensors in a file, whose checksums are compared (torch does not).
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it is damaged, or holds more than tensors and plain values.
+    Raises OSError if the file cannot be read. Raises ValueError if it is damaged, or holds more
+    than tensors and plain values.
     """
-    content = io.BytesIO(file.read_bytes())
+    return _tensors_of(file.read_bytes(), file.name)
+
+
+def _tensors_of(raw: bytes, name: str) -> Any:
+    content = io.BytesIO(raw)
     try:
         with zipfile.ZipFile(content) as archive:
             changed = archive.testzip()
@@ -152,8 +111,8 @@ def load_tensors(file: Path) -> Any:
             content.seek(0)
             return torch.load(content, map_location="cpu", weights_only=True)
     except Exception as error:  # whatever zipfile, its decompressors, torch and pickle raise
-        raise ValueError(f"{file.name} is no whole archive of tensors") from error
-    raise ValueError(f"{file.name} has changed since it was written, in {changed}")
+        raise ValueError(f"{name} is no whole archive of tensors") from error
+    raise ValueError(f"{name} has changed since it was written, in {changed}")
 
 
 def summarise_error(error: Exception) -> str:
@@ -166,24 +125,14 @@ def summarise_error(error: Exception) -> str:
 
 
 def load_checkpoint(model: Any, folder: str | Path) -> None:
-    """Put ``model`` into the state of the newest checkpoint in ``folder`` (or of ``folder``
-    itself).
+    """Put ``model`` into the state of the checkpoint in ``folder`` (or that is ``folder`` itself).
 
-    Then ``model.learn(total - model.num_timesteps, reset_num_timesteps=False)`` goes on.
-
-    Raises
-    ------
-    InputError
-        If there is none, or it is damaged, or belongs to another recipe, policy or environment.
+    Then ``model.learn(total - model.num_timesteps, reset_num_timesteps=False)`` goes on. Raises
+    InputError if there is none, or it is damaged, or belongs to another recipe, policy or
+    environment.
     """
-    folder = Path(folder)
-    path = latest_checkpoint(folder)
-    if path is None and (OWN_NAME.fullmatch(folder.name) or (folder / "state.json").exists()):
-        path = folder
-    if path is None or not path.is_dir():
-        raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
-    with _damage_refused(path):
-        state = _state(path)
+    path = _checkpoint_of(folder)
+    with _opened_checkpoint(path) as (state, archive):
         mine = json.loads(json.dumps(model.identity()))
         for key, value in mine.items():
             if (stored := state["identity"].get(key)) != value:
@@ -191,10 +140,13 @@ def load_checkpoint(model: Any, folder: str | Path) -> None:
                     f"{path}: it belongs to another run ({key} is {stored!r} there, {value!r} "
                     "here): resume with the settings it was made with"
                 )
-        tensors = load_tensors(path / "model.pt")
-        arrays = _arrays(path / "run.npz")
+        tensors = _tensors_of(archive["model"].tobytes(), "model")
+        arrays, replay = (
+            {name.removeprefix(begin): archive[name] for name in archive if name.startswith(begin)}
+            for begin in ("run/", "replay/")
+        )
         if model.replay_buffer is not None:
-            model.replay_buffer.restore(_arrays(path / "replay.npz"))
+            model.replay_buffer.restore(replay)
         torch_random_state = tensors.pop("torch_random_state")
         model.restore_training_state((state["counters"], arrays, tensors))
         torch.set_rng_state(torch_random_state)
@@ -205,39 +157,37 @@ def load_checkpoint(model: Any, folder: str | Path) -> None:
 
 
 def cloned_progress(folder: str | Path) -> OfflineProgress:
-    """Return the offline phase of the newest checkpoint in ``folder``, for another learner to end.
+    """Return the offline phase of the checkpoint in ``folder``, for another learner to end.
 
     It is to be of soft-label cloning alone, with the same networks, demonstrations, seed and
     offline settings as that learner's. Its ``learn`` then goes on as if the phase, which draws from
     no stream that lasts, had been its own.
     """
-    path = latest_checkpoint(folder)
+    with _opened_checkpoint(_checkpoint_of(folder)) as (state, archive):
+        row = state["counters"]["offline_progress"] | {"done": False}
+        tensors = _tensors_of(archive["model"].tobytes(), "model")
+        return OfflineProgress(**row, best_weights=tensors["q_net"])
+
+
+def _checkpoint_of(folder: str | Path) -> Path:
+    path = Path(folder) if Path(folder).is_file() else latest_checkpoint(folder)
     if path is None:
         raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
-    with _damage_refused(path):
-        row = _state(path)["counters"]["offline_progress"] | {"done": False}
-        return OfflineProgress(**row, best_weights=load_tensors(path / "model.pt")["q_net"])
-
-
-def _state(path: Path) -> dict[str, Any]:
-    state: dict[str, Any] = json.loads((path / "state.json").read_text())
-    if state["format"] != FORMAT:
-        raise InputError(
-            f"{path}: its format {state['format']} is of another version of animarl: use that one"
-        )
-    return state
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        return dict(archive)
+    return path
 
 
 @contextmanager
-def _damage_refused(path: Path) -> Iterator[None]:
-    """Say in one sentence what is wrong with a checkpoint that is being read."""
+def _opened_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
+    """Yield the state in a checkpoint and its arrays; refuse a damaged one in one sentence."""
     try:
-        yield
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            state: dict[str, Any] = json.loads(str(archive["state"]))
+            if state["format"] != FORMAT:
+                raise InputError(
+                    f"{path}: its format {state['format']} is of another version of animarl: use "
+                    "that one"
+                )
+            yield state, archive
     except InputError:
         raise
     except PermissionError as error:
@@ -248,23 +198,8 @@ def _damage_refused(path: Path) -> Iterator[None]:
     ) as error:  # fmt: skip
         raise InputError(
             f"{path}: the checkpoint is damaged ({summarise_error(error)}): "
-            "put a copy of this folder in its place, or remove it and start the run anew"
+            "put a copy of this file in its place, or remove it and start the run anew"
         ) from error
-
-
-def _write(path: Path, write: Any) -> None:
-    with path.open("wb") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 # -- models and replay memories -------------------------------------------------------------------

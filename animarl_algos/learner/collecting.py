@@ -137,12 +137,8 @@ def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.
     the same, as of animals at rest, the likelihood alone would have them never move again.
 
     The likelihood is unimodal in the inverse temperature (the log-likelihood of a one-parameter
-    exponential family is concave), so a bounded scalar search finds it.
-
-    Raises
-    ------
-    InputError
-        If there is no demonstrated action to fit to, or the values are all equal.
+    exponential family is concave), so a bounded scalar search finds it. Raises InputError if there
+    is no demonstrated action to fit to, or the values are all equal.
     """
     if len(actions) == 0:
         raise InputError("no demonstrated action to fit a temperature to: give a larger dataset")

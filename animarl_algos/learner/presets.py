@@ -67,6 +67,8 @@ def learner_preset(
 ) -> LearnerPreset:
     """The settings of ``algo`` in an environment, ``overrides`` over those of the file.
 
+    Raises InputError if there is no such preset, a key is unknown, or a value is of the wrong kind.
+
     Parameters
     ----------
     algo
@@ -79,11 +81,6 @@ def learner_preset(
         Settings that go over the file's.
     config
         A file of the same format to read instead of ``zoo_configs/<algo>.yml``.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset, a key is unknown, or a value is of the wrong kind.
     """
     found, listed = read_preset(algo if config is None else Path(config), env_id, preset)
     if preset == "paper" and not listed:
@@ -122,6 +119,8 @@ def constructor_settings(
 ) -> dict[str, Any]:
     """All settings of a learner made in Python: those ``given``, over those of preset ``default``.
 
+    Raises InputError if a setting is unknown.
+
     Parameters
     ----------
     plain, pretrained
@@ -131,11 +130,6 @@ def constructor_settings(
         which holds for the policy that it names alone.
     given
         Settings by name; a table goes over the preset's key by key, and None empties it.
-
-    Raises
-    ------
-    InputError
-        If a setting is unknown.
     """
     section = section_of(env)
     settings = constructed(learner_preset(plain, section).arguments)
@@ -181,10 +175,7 @@ def _attribute_of(env: Any, name: str) -> Any:
 def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings given in Python, checked but for the policy, which may be a class.
 
-    Raises
-    ------
-    InputError
-        If one is unknown or out of its range.
+    Raises InputError if one is unknown or out of its range.
     """
     known = default_settings()
     for name in given:
@@ -211,12 +202,8 @@ def read_preset(
     """Return settings of an environment: of the bases, then ``common``, then its own section.
 
     With them comes whether it has a section of its own for the preset. ``within`` are the files
-    that named this one as their base.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset, a key is unknown, or a value is of the wrong kind.
+    that named this one as their base. Raises InputError if there is no such preset, a key is
+    unknown, or a value is of the wrong kind.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r} is unknown: choose {' or '.join(PRESETS)}")
@@ -246,17 +233,15 @@ def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]
 def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[list[str], Sections]:
     """Return the names of the base files, and section -> preset -> settings, every key checked.
 
+    Raises InputError if there is no such file, or it is not of this form; the sentence names the
+    place.
+
     Parameters
     ----------
     config
         Name of a file of ``zoo_configs`` without its suffix, or the path of one.
     model
         What a section may say.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it is not of this form; the sentence names the place.
     """
     file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
     name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"

@@ -10,7 +10,6 @@ import math
 from contextlib import suppress
 from typing import Annotated, Any, Literal, get_type_hints
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     Field,
@@ -27,6 +26,7 @@ from typing_extensions import TypedDict
 
 from animarl_algos.checked import Checked, prose
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
+from animarl_envs.checks import is_number
 from animarl_envs.errors import InputError
 
 POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
@@ -37,17 +37,19 @@ LINEAR = "lin_"
 def as_frequency(value: Any) -> TrainFreq:
     """Return ``(n, "step")``, ``(n, "episode")``, or ``n`` for steps, as stable-baselines3 has it.
 
-    Raises
-    ------
-    InputError
-        If it is neither.
+    Raises InputError if it is neither.
     """
     number: Any = value
     unit: Any = "step"
     if isinstance(value, tuple | list) and len(value) == 2:
         number, unit = value
         unit = getattr(unit, "value", unit)
-    if unit not in ("step", "episode") or not _is_number(number) or number < 1 or number % 1:
+    if (
+        unit not in ("step", "episode")
+        or not is_number(number)
+        or not 1 <= number < math.inf
+        or number % 1
+    ):
         raise InputError('give (n, "step"), (n, "episode") or a number n of steps, n at least 1')
     return TrainFreq(int(number), TrainFrequencyUnit(unit))
 
@@ -63,14 +65,9 @@ def _check_rate(value: Any) -> Any:
         linear_schedule(value)
         return value
     rate = value(1.0) if callable(value) else value
-    if not _is_number(rate) or rate < 0 or (rate == 0 and not callable(value)):
+    if not is_number(rate) or not 0 <= rate < math.inf or (rate == 0 and not callable(value)):
         raise InputError("give a number above 0")
     return value if callable(value) else float(value)
-
-
-def _is_number(value: Any) -> bool:
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    return number and math.isfinite(value)
 
 
 def linear_schedule(rate: str) -> LinearSchedule:
@@ -194,10 +191,7 @@ class LearnerSettings(TypedDict, total=False):
 class OfflineSettings(Checked):
     """Settings of the offline phase beside its length, rate and loss; the defaults are the paper's.
 
-    Raises
-    ------
-    InputError
-        If a number is out of its range, or one makes another useless.
+    Raises InputError if a number is out of its range, or one makes another useless.
     """
 
     sequence_length: Annotated[int, Field(ge=1)] | None = None
@@ -236,14 +230,6 @@ class OfflineSettings(Checked):
         if self.passes_per_epoch is not None and self.updates_per_epoch is None:
             raise InputError("passes_per_epoch limits updates_per_epoch: give both, or neither")
         return self
-
-    @classmethod
-    def of(cls, given: dict[str, Any]) -> OfflineSettings:
-        """Return those of a learner's ``offline_kwargs``."""
-        try:
-            return cls(**given)
-        except InputError as error:
-            raise InputError(f"offline_kwargs: {error}") from None
 
     def updates(self, steps: int, batch_size: int) -> int:
         """Return the updates of an epoch with minibatches of windows of so many steps."""
@@ -323,10 +309,7 @@ def settings_prose() -> dict[str, str]:
 def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
     """Return the time limit [steps]: as ``given``, or as the environment declares it.
 
-    Raises
-    ------
-    InputError
-        If it declares none.
+    Raises InputError if it declares none.
     """
     if given is not None or env is None:
         return given

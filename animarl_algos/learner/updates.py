@@ -155,17 +155,14 @@ def update(
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
     That of weights which are kept the same for all becomes their mean.
 
+    Raises InputError if the sum is not finite: training diverged. No step is made then.
+
     Returns
     -------
     losses
         ``{term: (K,)}``, unweighted.
     priorities
         ``(K, B)``, or None where they are not asked for or no term measures an error.
-
-    Raises
-    ------
-    InputError
-        If the sum is not finite: training diverged. No step is made then.
     """
     phase = minibatch.phase
     active = [term for term in terms if term.weight(phase) > 0]

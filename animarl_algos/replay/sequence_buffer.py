@@ -21,16 +21,6 @@ from pydantic import Field
 
 from animarl_algos.checked import Checked
 from animarl_algos.replay import sequence_kernels as kernels
-from animarl_algos.replay.sequence_kernels import (
-    EPISODES,
-    NEXT,
-    OLDEST,
-    ROWS_USED,
-    Ring,
-    Staging,
-    Step,
-    SumTrees,
-)
 from animarl_algos.replay.store import NO_LABEL, Frames, SequenceBatch, Sequences, gather
 from animarl_envs.errors import InputError
 
@@ -132,6 +122,9 @@ class SequenceReplayBuffer:
     priorities and its own random stream, which depends on the seed and its name only: K individuals
     in one buffer draw exactly what they would draw from K buffers of their own.
 
+    Raises InputError if a setting is out of range, an episode cannot fit, or memory does not
+    suffice.
+
     Parameters
     ----------
     buffer_size
@@ -158,11 +151,6 @@ class SequenceReplayBuffer:
         Where batches go.
     settings
         Those of :class:`ReplaySettings`.
-
-    Raises
-    ------
-    InputError
-        If a setting is out of range, an episode cannot fit, or memory does not suffice.
     """
 
     def __init__(
@@ -206,7 +194,7 @@ class SequenceReplayBuffer:
         # An episode of T steps takes T + 1 rows and ceil(T / stride) slots.
         slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
         try:
-            self.trees = SumTrees(num_individuals, slots if prioritized else 0)
+            self.trees = kernels.SumTrees(num_individuals, slots if prioritized else 0)
             frames = Frames.zeros(buffer_size, num_individuals, observation_dim)
             sequences = Sequences.zeros(slots, num_individuals, self.state_size)
         except MemoryError:
@@ -214,7 +202,7 @@ class SequenceReplayBuffer:
                 f"buffer_size {buffer_size} does not fit the memory: lower it"
             ) from None
         cursor, largest = np.zeros(5, dtype=np.int64), np.ones(num_individuals)
-        self.ring = Ring(frames, sequences, cursor, self.trees.nodes, largest)
+        self.ring = kernels.Ring(frames, sequences, cursor, self.trees.nodes, largest)
         ring = (*self.ring.frames, *self.ring.sequences, self.ring.trees)
         check_memory(ring, f"buffer_size {buffer_size}")
         self.streams = np.empty(num_individuals, dtype=np.uint64)
@@ -228,12 +216,12 @@ class SequenceReplayBuffer:
     @property
     def num_sequences(self) -> int:
         """Sequences that can be drawn."""
-        return int(self.ring.cursor[NEXT] - self.ring.cursor[OLDEST])
+        return int(self.ring.cursor[kernels.NEXT] - self.ring.cursor[kernels.OLDEST])
 
     @property
     def num_episodes(self) -> int:
         """Finished episodes in the ring."""
-        return int(self.ring.cursor[EPISODES])
+        return int(self.ring.cursor[kernels.EPISODES])
 
     def size(self) -> int:
         """Steps of the world in the ring, under stable-baselines3's name for it."""
@@ -242,7 +230,7 @@ class SequenceReplayBuffer:
     @property
     def num_steps(self) -> int:
         """Steps of the world in the ring."""
-        return int(self.ring.cursor[ROWS_USED]) - self.num_episodes
+        return int(self.ring.cursor[kernels.ROWS_USED]) - self.num_episodes
 
     def moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Mean and standard deviation ``(K, n)`` of each individual's observations in the ring."""
@@ -268,10 +256,7 @@ class SequenceReplayBuffer:
         ``hidden``, the acting network's state before the step, is read with ``state_mode="stored"``
         only, ``condition`` at an episode's last step.
 
-        Raises
-        ------
-        InputError
-            If an action does not fit, or an episode outgrows ``max_episode_steps``.
+        Raises InputError if an action does not fit, or an episode outgrows ``max_episode_steps``.
         """
         each, pair = (self.num_copies,), (self.num_copies, self.num_individuals)
         shapes = {"each": each, "pair": pair, "seen": (*pair, self.observation_dim)}
@@ -283,7 +268,7 @@ class SequenceReplayBuffer:
                 arrays[name] = np.full(shapes[kind], NO_LABEL if name == "labels" else 0, dtype)
             else:
                 arrays[name] = np.array(value, dtype, order="C").reshape(shapes[kind])
-        made = Step(**arrays)
+        made = kernels.Step(**arrays)
         cut = (self.stride, self.burn_in)
         ended = kernels.stage_steps(self.staging, made, *cut, self.num_actions)
         if ended == kernels.BAD_ACTION:
@@ -410,7 +395,7 @@ class SequenceReplayBuffer:
         """Make room for the running episodes of so many copies, none of them begun."""
         k, steps = self.num_individuals, self.max_episode_steps
         self.num_copies, pieces = copies, math.ceil(steps / self.stride)
-        self.staging = Staging(
+        self.staging = kernels.Staging(
             Frames.zeros(copies * (steps + 1), k, self.observation_dim),
             step_count=np.zeros(copies, dtype=np.int64),
             state=np.zeros((copies, pieces, k, self.state_size), dtype=np.float32),

@@ -29,12 +29,8 @@ def number_of_folds(demos: Demonstrations, asked: int | None = None) -> int:
     """Return into how many folds a run is cross-validated, 0 for none.
 
     By default only where that makes a verdict possible: the test split has too few recordings, and
-    all splits together have enough.
-
-    Raises
-    ------
-    InputError
-        If ``asked`` are fewer than three folds, or more than there are recordings.
+    all splits together have enough. Raises InputError if ``asked`` are fewer than three folds, or
+    more than there are recordings.
     """
     tested = np.unique(demos.recording[demos.split == "test"])
     if asked is None:
@@ -47,10 +43,7 @@ def number_of_folds(demos: Demonstrations, asked: int | None = None) -> int:
 def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
     """Make the folders of the folds within that of a run, or find them again.
 
-    Raises
-    ------
-    InputError
-        If the run is cross-validated already, in another number of folds.
+    Raises InputError if the run is cross-validated already, in another number of folds.
     """
     there = {file.name.partition("-of-")[2] for file in (run.path / FOLDER).glob("*-of-*")}
     if there - {str(folds)}:

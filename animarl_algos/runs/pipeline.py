@@ -61,10 +61,7 @@ def open_run(
 def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
     """Make the environment and the learners once, so that what does not fit is refused now.
 
-    Raises
-    ------
-    InputError
-        Whatever making them, or beginning to learn, would refuse.
+    Raises InputError: whatever making them, or beginning to learn, would refuse.
     """
     species, asked = checked_species(settings, demos), settings.learner()
     env = SlotVecEnv(

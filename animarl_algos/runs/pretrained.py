@@ -92,6 +92,9 @@ def export_run(
 ) -> Path:
     """Write what a run's policy acts by into a folder of its own, with a model card.
 
+    Raises InputError if the run was not trained or not evaluated, or the folder holds something
+    else.
+
     Parameters
     ----------
     with_demonstrations
@@ -101,11 +104,6 @@ def export_run(
         The command, for the card; by default that of the run.
     chosen
         By candidate, the number on validation episodes that this model was chosen by: the lowest.
-
-    Raises
-    ------
-    InputError
-        If the run was not trained or not evaluated, or the folder holds something else.
     """
     settings, algo = run.settings, run.settings.algo
     network = run.policy.policy.q_net

@@ -96,10 +96,7 @@ class Run:
     def start(self, settings: RunSettings, demos: Demonstrations, command: str) -> None:
         """Write what the run is, or make sure that what is there is the same run.
 
-        Raises
-        ------
-        InputError
-            If the folder holds another run.
+        Raises InputError if the folder holds another run.
         """
         own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
         moving = select_individuals(demos, own.env_kwargs)
@@ -241,12 +238,8 @@ class Run:
     def shown_with(self, given: Demonstrations | None) -> Demonstrations:
         """Return the demonstrations that the run is shown with: those ``given``, or else its own.
 
-        Given ones also stand in for those that an exported model came without.
-
-        Raises
-        ------
-        InputError
-            If it lacks its own and these are others, or they are of other individuals.
+        Given ones also stand in for those that an exported model came without. Raises InputError if
+        it lacks its own and these are others, or they are of other individuals.
         """
         file = self.settings.file
         if file != PACKAGED and not (self.path / DEMONSTRATIONS).exists():
@@ -355,10 +348,7 @@ class Run:
     def trained(self, algo: str) -> SequenceQLearning:
         """Return a trained learner of the run, acting by its rule.
 
-        Raises
-        ------
-        InputError
-            If it was not trained yet, or its weights are damaged.
+        Raises InputError if it was not trained yet, or its weights are damaged.
         """
         if not self.has_policy(algo):
             raise InputError(
@@ -406,10 +396,7 @@ class Run:
     def acting(self, algo: str) -> Acting:
         """Return the rule that the trained ``algo`` acts by.
 
-        Raises
-        ------
-        InputError
-            If none was chosen yet, or the file is damaged.
+        Raises InputError if none was chosen yet, or the file is damaged.
         """
         asked, file = self.acting_rule or self.settings.acting, self.acting_file(algo)
         if asked != CHOSEN:
@@ -467,10 +454,7 @@ class Run:
     def rollouts(self) -> dict[str, Rollouts]:
         """Return those on the test split by method, the run's own learner first.
 
-        Raises
-        ------
-        InputError
-            If the run has no rollouts yet, or a file is damaged.
+        Raises InputError if the run has no rollouts yet, or a file is damaged.
         """
         own = method_name(self.settings.algo)
         files = {f.stem: f for f in sorted((self.path / "rollouts").glob("*.npz"))}
@@ -531,6 +515,8 @@ class Run:
         Rollouts of one seed meet the same random numbers, whatever the options, so that two of them
         differ by what was changed alone.
 
+        Raises InputError if an option is unknown, or changes what the policy is shown.
+
         Parameters
         ----------
         split
@@ -552,11 +538,6 @@ class Run:
         options
             Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
             as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
-
-        Raises
-        ------
-        InputError
-            If an option is unknown, or changes what the policy is shown.
         """
         if changed := changed_inputs(self.species, options):
             raise InputError(

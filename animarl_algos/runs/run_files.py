@@ -44,12 +44,8 @@ def weights_file(folder: Path, name: str) -> Path:
 def read_weights(file: Path) -> Any:
     """Return tensors by name.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it is damaged, or holds more than tensors and plain values.
+    Raises OSError if the file cannot be read. Raises ValueError if it is damaged, or holds more
+    than tensors and plain values.
     """
     if file.suffix != GIVEN:
         return load_tensors(file)
@@ -81,10 +77,7 @@ def _safetensors() -> Any:
 def logged_curves(logs: Path, seed: int) -> pd.DataFrame:
     """Return all quantities that were logged: ``method, phase, seed, step, quantity, value``.
 
-    Raises
-    ------
-    InputError
-        If a table is damaged.
+    Raises InputError if a table is damaged.
     """
     found = [pd.DataFrame(columns=[c for c in CURVE_COLUMNS if c != "seed"])]
     for file in sorted(logs.glob("*/*/progress.csv")):

@@ -34,11 +34,8 @@ class RunSet:
     def open(cls, folders: Sequence[str | Path]) -> RunSet:
         """Read run folders.
 
-        Raises
-        ------
-        InputError
-            If a folder is no run, or two runs are of different species, recordings, splits or
-            worlds, or the same method with different settings or with the same seed.
+        Raises InputError if a folder is no run, or two runs are of different species, recordings,
+        splits or worlds, or the same method with different settings or with the same seed.
         """
         if not folders:
             raise InputError("there is no run to look at: name one run folder or more")

@@ -42,10 +42,7 @@ class PipelineSettings(Checked):
 class RunSettings(PipelineSettings):
     """What decides a run together with the demonstrations.
 
-    Raises
-    ------
-    InputError
-        If a setting is out of its range, or does not go with another.
+    Raises InputError if a setting is out of its range, or does not go with another.
     """
 
     file: str = PACKAGED
@@ -163,10 +160,7 @@ def check_device(device: str) -> None:
 def environment_options(env: str) -> dict[str, Any]:
     """Return the options that an environment was registered with.
 
-    Raises
-    ------
-    InputError
-        If none of this id is registered.
+    Raises InputError if none of this id is registered.
     """
     try:
         return dict(gym.spec(env).kwargs)
@@ -181,10 +175,7 @@ def environment_options(env: str) -> dict[str, Any]:
 def asked_species(env: str | None, species: str | None) -> str | None:
     """Return the species that ``--env`` and ``--species`` name; None if neither is given.
 
-    Raises
-    ------
-    InputError
-        If they contradict each other, or the environment is none of this suite.
+    Raises InputError if they contradict each other, or the environment is none of this suite.
     """
     if env is None:
         return species
@@ -204,11 +195,8 @@ def asked_species(env: str | None, species: str | None) -> str | None:
 def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
     """Return the species of a run, its locomotion not yet fitted.
 
-    Raises
-    ------
-    InputError
-        If the demonstrations are of another species or layout, or the learner needs conditions
-        and there are none, or nobody has the focal one's name.
+    Raises InputError if the demonstrations are of another species or layout, or the learner needs
+    conditions and there are none, or nobody has the focal one's name.
     """
     from animarl_algos.recipes.registry import named_recipe
 

@@ -79,12 +79,7 @@ def world_in_words(species: Species) -> dict[str, str]:
 def changed_inputs(species: Species, options: Mapping[str, Any]) -> str:
     """Return the option under which a policy of ``species`` is shown something else, if any.
 
-    Of several that do so only together all are named.
-
-    Raises
-    ------
-    InputError
-        If an option is unknown.
+    Of several that do so only together all are named. Raises InputError if an option is unknown.
     """
     for key in CHANGES_INPUTS:
         if key in options:

@@ -15,9 +15,9 @@ import rl_zoo3
 import rl_zoo3.exp_manager
 import rl_zoo3.train
 import torch
-import yaml
 
 from animarl_algos.checked import COUNT, COUNT_OR_NONE
+from animarl_algos.cli.shared import parse_settings
 from animarl_algos.learner.callbacks import ProgressBar
 from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import RECIPES
@@ -94,16 +94,7 @@ class StoreData(argparse.Action):
     """``KEY:VALUE ...`` as a dictionary; values are YAML data (rl_zoo3 evaluates them)."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
-        stored = {}
-        for pair in values:
-            key, colon, value = pair.partition(":")
-            if not colon:
-                raise InputError(f"{option_string} {pair}: write KEY:VALUE")
-            try:
-                stored[key] = yaml.safe_load(value)
-            except yaml.YAMLError:
-                raise InputError(f"{option_string} {pair}: the value is not valid YAML") from None
-        setattr(namespace, self.dest, stored)
+        setattr(namespace, self.dest, parse_settings(values, option_string, ":"))
 
 
 def register() -> None:

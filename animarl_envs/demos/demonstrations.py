@@ -43,6 +43,9 @@ __all__ = [
 class Demonstrations(Episodes):
     """Recorded episodes of the same individuals, laid end to end.
 
+    Raises InputError if anything is missing, misshapen or out of range; the sentence says where,
+    and how to fix it.
+
     Parameters
     ----------
     individuals, roles, dt, positions, lengths, outcome, condition
@@ -65,12 +68,6 @@ class Demonstrations(Episodes):
         ``heading`` (:meth:`headings`).
     provenance
         JSON-like: ``source``, ``licence``, ``synthetic`` (bool) at least; further what was done.
-
-    Raises
-    ------
-    InputError
-        If anything is missing, misshapen or out of range; the sentence says where, and how to fix
-        it.
     """
 
     FORMAT = "animarl-demonstrations"
@@ -275,7 +272,7 @@ class Demonstrations(Episodes):
         return {f"signal_{key}": value for key, value in self.signals.items()}
 
     @classmethod
-    def _from_stored(
+    def from_stored(
         cls, path: Path, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
     ) -> dict[str, Any]:
         arena = dict(meta["arena"])

@@ -231,7 +231,7 @@ class Episodes(ABC):
             )
             for key, value in arrays.items()
         }
-        arrays |= {"meta": np.array(json.dumps(meta, default=_plain)), **self._more_arrays()}
+        arrays |= {"meta": np.array(json.dumps(meta, default=plain)), **self._more_arrays()}
         with write_then_rename(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays)
         return path
@@ -243,10 +243,7 @@ class Episodes(ABC):
     def load(cls, path: str | Path) -> Self:
         """Read a file written by :meth:`save`.
 
-        Raises
-        ------
-        InputError
-            If the file is missing, truncated, of another format, or holds a pickle.
+        Raises InputError if the file is missing, truncated, of another format, or holds a pickle.
         """
         path = Path(path)
         arrays = read_npz(path)
@@ -257,10 +254,10 @@ class Episodes(ABC):
                 raise InputError(f"{path}: it holds no {what} of this project: {cls.MADE_BY}")
             if meta.pop("version") > FORMAT_VERSION:
                 raise InputError(f"{path}: it was written by a newer animarl: upgrade this one")
-            return cls(**cls._from_stored(path, meta, arrays))
+            return cls(**cls.from_stored(path, meta, arrays))
 
     @classmethod
-    def _from_stored(
+    def from_stored(
         cls, path: Path, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
     ) -> dict[str, Any]:
         return meta | arrays
@@ -288,7 +285,7 @@ def refusing_damage(
         raise InputError(f"{path}: its content is damaged ({type(e).__name__}: {e}): {fix}") from e
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return an arena or a mapping as JSON can hold it."""
     if isinstance(value, Arena):
         boundary = value.boundary if np.isfinite(value.boundary) else "inf"

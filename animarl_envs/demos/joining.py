@@ -25,13 +25,8 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
 
     The provenance is that of the first, with those of all under ``joined`` and with the scales and
     the cleaning of all recordings. Recordings of several sets that have one name get that of their
-    set before it.
-
-    Raises
-    ------
-    InputError
-        If there is none, two hold the same episodes, or differ in species, individuals, time step,
-        arena, unit or signals.
+    set before it. Raises InputError if there is none, two hold the same episodes, or differ in
+    species, individuals, time step, arena, unit or signals.
     """
     if not parts:
         raise InputError("there are no demonstrations to join: give one set or more")
@@ -107,15 +102,12 @@ def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrati
 
     An episode that ended by the contact of one who is left out is unfinished.
 
+    Raises InputError if fewer were recorded.
+
     Parameters
     ----------
     option
         One of :data:`COUNTS`, which names the role.
-
-    Raises
-    ------
-    InputError
-        If fewer were recorded.
     """
     role = COUNTS[option]
     recorded = demos.roles.count(role)

@@ -70,10 +70,7 @@ def learnable(demos: Demonstrations) -> Demonstrations:
 def refuse_empty_splits(demos: Demonstrations) -> None:
     """Refuse demonstrations without at least one training, validation and test episode each.
 
-    Raises
-    ------
-    InputError
-        If there are none of one of them; it says how to come by them.
+    Raises InputError if there are none of one of them; it says how to come by them.
     """
     empty = [split for split in SPLITS if not (demos.split == split).any()]
     if not empty:
@@ -92,12 +89,8 @@ def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstration
     """The demonstrations once per fold: each episode is test once, val once, and else train.
 
     Episodes of a recording stay together, unless there are fewer than three recordings. Whatever
-    the split was before is not asked.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three folds, or fewer recordings (or episodes) than folds.
+    the split was before is not asked. Raises InputError if there are fewer than three folds, or
+    fewer recordings (or episodes) than folds.
     """
     dealt = demos.recording
     if len(np.unique(dealt)) < FEWEST_RECORDINGS:

@@ -98,6 +98,9 @@ def _middle(points: Points) -> tuple[Points, float]:
 class Renderer:
     """Draws scenes.
 
+    Raises MissingExtraError if pygame-ce is not installed. Raises InputError if a value is out of
+    range, or a window is wanted where there is no display.
+
     Parameters
     ----------
     mode
@@ -107,13 +110,6 @@ class Renderer:
         Width of the picture, and height of the field in it [px]; a strip of text stands below.
     fps
         Frames per second of the window.
-
-    Raises
-    ------
-    MissingExtraError
-        If pygame-ce is not installed.
-    InputError
-        If a value is out of range, or a window is wanted where there is no display.
     """
 
     def __init__(self, mode: str, size: int = SIZE, fps: float = 10.0) -> None:
@@ -510,6 +506,9 @@ GIF_COLOURS = 128  # of each frame
 def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float = 10.0) -> Path:
     """Write pictures as an animated ``.gif`` or an ``.mp4`` (H.264).
 
+    Raises InputError: for another suffix, an impossible ``fps`` or no frames at all. Raises
+    MissingExtraError if imageio, or ffmpeg for an mp4, is not installed.
+
     Parameters
     ----------
     frames
@@ -518,13 +517,6 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         Where to; the file appears when it is complete.
     fps
         Frames per second; a gif keeps time in hundredths of a second.
-
-    Raises
-    ------
-    InputError
-        For another suffix, an impossible ``fps`` or no frames at all.
-    MissingExtraError
-        If imageio, or ffmpeg for an mp4, is not installed.
     """
     path = Path(path)
     suffix = path.suffix.lower()

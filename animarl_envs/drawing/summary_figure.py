@@ -20,13 +20,12 @@ from animarl_envs.demos.summary import (
     summarise,
     unit_of,
 )
+from animarl_envs.drawing import palette
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
 from animarl_envs.focus import distances_to_target
 
 ROWS, COLUMNS = 2, 6  # of the episodes drawn
-COLOURS = ("#0072B2", "#009E73", "#56B4E9", "#CC79A7", "#E69F00", "#999999")  # of pursuers
-TARGET_COLOUR = "#D55E00"  # distinguishable by colour-blind readers as well
 GREY = "0.45"
 LEAST_EPISODES = 3  # a median over fewer is not drawn
 
@@ -62,12 +61,9 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
     return path
 
 
-def colours(demos: Demonstrations) -> tuple[str, ...]:
+def _colours(demos: Demonstrations) -> list[str]:
     """Return one per individual; the target's is its own."""
-    return tuple(
-        TARGET_COLOUR if role == "target" else COLOURS[i % len(COLOURS)]
-        for i, role in enumerate(demos.roles)
-    )
+    return [palette.to_hex(palette.colour_of(role, i)) for i, role in enumerate(demos.roles)]
 
 
 def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
@@ -84,8 +80,8 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
         positions = unit.per_arena_unit * one.positions
         axes.plot(*edge, color="0.8", lw=0.8)
         if "searcher" in demos.roles:
-            axes.plot(0, 0, "*", color=TARGET_COLOUR, ms=8)
-        for i, colour in enumerate(colours(demos)):
+            axes.plot(0, 0, "*", color=palette.to_hex(palette.PLUME), ms=8)
+        for i, colour in enumerate(_colours(demos)):
             x, y = positions[:, i].T
             axes.plot(x, y, color=colour, lw=0.9, label=demos.individuals[i])
             axes.plot(x[0], y[0], "o", color=colour, ms=3)
@@ -106,7 +102,7 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
 
 def _draw_distributions(panels: Any, demos: Demonstrations, unit: Unit) -> None:
     durations, lengths, speeds, distances, bars, gaps = panels
-    rows, tints = episode_table(demos), colours(demos)
+    rows, tints = episode_table(demos), _colours(demos)
     _histogram(durations, [[row["duration"] for row in rows]], [GREY])
     durations.set(title="Duration", xlabel="s", ylabel="episodes")
     paths = [

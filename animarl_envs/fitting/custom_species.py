@@ -57,6 +57,8 @@ def species_of(
 ) -> Species:
     """The species that demonstrations show.
 
+    Raises InputError if the roles do not fit the species.
+
     Parameters
     ----------
     demos
@@ -94,11 +96,6 @@ def species_of(
         point where it walks.
     thrusts
         Thrust magnitudes that are fitted, where ``fit`` is not given.
-
-    Raises
-    ------
-    InputError
-        If the roles do not fit the species.
     """
     demos = learnable(demos)
     name = base or demos.species

@@ -58,17 +58,15 @@ _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
     """Damping, thrust and magnitudes of every individual, from all episodes of ``demos``.
 
+    Raises InputError if ``thrusts`` is none of 1 to 10, or an individual has too few steps or never
+    moves.
+
     Parameters
     ----------
     demos
         Recorded episodes, those to fit only.
     thrusts
         The number of magnitudes, M.
-
-    Raises
-    ------
-    InputError
-        If ``thrusts`` is none of 1 to 10, or an individual has too few steps or never moves.
     """
     check_thrusts(thrusts)
     names = demos.kinds
@@ -104,6 +102,8 @@ def fit_joint(
 ) -> Locomotion:
     """Damping and thrust of one individual by least squares without tracking jumps.
 
+    Raises InputError if there are fewer than three steps, or the individual never moves.
+
     Parameters
     ----------
     data
@@ -114,11 +114,6 @@ def fit_joint(
         What the terminal speed ``u dt / d`` must reach [arena unit / s].
     far
         Which misses are tracking jumps, see ``FAR``; infinity: none.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three steps, or the individual never moves.
     """
     moving = np.hypot(data.next_velocity[:, 0], data.next_velocity[:, 1]) > 0
     if len(data) < 3 or not moving.any():

@@ -75,6 +75,8 @@ def fit_with_noise(
 ) -> NoisyFit:
     """Fit damping, one thrust and the tracking noise of an individual.
 
+    Raises InputError if there are fewer than three steps, or the individual never moves.
+
     Parameters
     ----------
     demos
@@ -85,11 +87,6 @@ def fit_with_noise(
         Whole episodes are taken from the first on until so many steps are there.
     intervals
         Whether intervals are made and the bias of the merging is taken out; both need time.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three steps, or the individual never moves.
     """
     name = f"{demos.name}: {demos.individuals[individual]}"
     enough = int(np.searchsorted(np.cumsum(demos.lengths - 1), most_steps, side="right"))

@@ -138,6 +138,9 @@ def fit_locomotion(
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
+    Raises InputError if a split is empty, an individual never moves, or the onset fit finds no
+    onset.
+
     Parameters
     ----------
     demos
@@ -156,11 +159,6 @@ def fit_locomotion(
         Resamples of episodes for the intervals; 0 leaves them out.
     seed
         Of the resampling.
-
-    Raises
-    ------
-    InputError
-        If a split is empty, an individual never moves, or the onset fit finds no onset.
     """
     if method not in get_args(Method):
         raise InputError(f"method {method!r} is unknown: choose joint, onset or noise")

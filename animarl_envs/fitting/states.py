@@ -111,26 +111,6 @@ class StateFit:
         return bool(self.share.min() >= LEAST_SHARE)
 
 
-def fit_states(demos: Demonstrations, individual: int, states: int, thrusts: int = 1) -> StateFit:
-    """Fit one individual on training episodes, and measure it on validation episodes.
-
-    Parameters
-    ----------
-    demos
-        Recorded episodes with their splits; test episodes are not looked at.
-    individual
-        Its index. Animals of a group that are alike are fitted together.
-    states, thrusts
-        How many states, 1 to 5, and how many thrust magnitudes each has.
-
-    Raises
-    ------
-    InputError
-        If the number of states is none of 1 to 5, or there are no episodes to train or validate.
-    """
-    return compare_states(demos, individual, (states,), (thrusts,))[0][0]
-
-
 def compare_states(
     demos: Demonstrations, individual: int, states: Sequence[int], thrusts: Sequence[int]
 ) -> tuple[list[StateFit], int]:
@@ -138,7 +118,19 @@ def compare_states(
 
     The best is the one with the fewest parameters among those whose held-out likelihood is within
     one standard error, over episodes, of the highest (Breiman et al. 1984), or a hundredth of a
-    nat. Errors are those of :func:`fit_states`.
+    nat.
+
+    Raises InputError if a number of states is none of 1 to 5, or there are no episodes to train or
+    validate.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes with their splits: fitted on train, compared on val.
+    individual
+        Its index. Animals of a group that are alike are fitted together.
+    states, thrusts
+        Numbers of states, 1 to 5, and of the thrust magnitudes that each has.
 
     Returns
     -------

@@ -152,10 +152,8 @@ def onset_data(demos: Demonstrations, individual: int, onset_threshold: float) -
 def fit_onset(demos: Demonstrations, individual: int, onset_threshold: float) -> Locomotion:
     """Damping and thrust of one individual by the paper's rule.
 
-    Raises
-    ------
-    InputError
-        If there is no onset, or the individual is faster at onsets than at its top speed.
+    Raises InputError if there is no onset, or the individual is faster at onsets than at its top
+    speed.
     """
     data = onset_data(demos, individual, onset_threshold)
     name = demos.individuals[individual]

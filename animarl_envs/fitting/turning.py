@@ -15,7 +15,6 @@ as many, and so on, since the error over many has other minima.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.locomotion import shorter_turn
 from animarl_envs.species.turning import Turning
 
 Floats = NDArray[np.float64]
@@ -34,31 +34,13 @@ START = (0.2, 0.8, 0.0)  # persistence, gain, slip
 LOWEST, HIGHEST = (0.0, 1e-3, -3.1), (0.95, 3.1, 3.1)
 
 
-@dataclass(frozen=True)
-class HeadingErrors:
-    """How far predicted headings are from recorded ones.
-
-    ``one_step``: median of the absolute difference after one step from the recorded state [rad].
-    ``free_running``: the same when only the first heading of an episode is given [rad].
-    ``sectors``: share of free-running steps whose wind sector (90 deg about front, left, back and
-    right) is that of the recorded heading.
-    """
-
-    one_step: float
-    free_running: float
-    sectors: float
-
-
 def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
     """Turning of one recorded individual by least squares.
 
     ``None`` where no headings are recorded, where it never moves, or where the body points where it
     walks: there the direction of travel predicts the next heading better.
 
-    Raises
-    ------
-    InputError
-        If the headings are not one number per frame and individual.
+    Raises InputError if the headings are not one number per frame and individual.
     """
     if HEADING not in demos.signals:
         return None
@@ -88,7 +70,8 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
         if len(at) <= len(START):
             return None
         ahead = at + np.arange(1, horizon + 1)[:, None]
-        data = heading[at], _between(heading[at], heading[at - 1]), velocity[ahead], heading[ahead]
+        turn = shorter_turn(heading[at], heading[at - 1])
+        data = heading[at], turn, velocity[ahead], heading[ahead]
         fitted = least_squares(
             lambda tried, data=data: _chords(turning(tried), *data),
             numbers, bounds=(LOWEST, HIGHEST), x_scale=(0.1, 0.1, 0.1), ftol=1e-9, xtol=1e-9,
@@ -125,24 +108,11 @@ def free_running(demos: Demonstrations, turning: Turning, individual: int = 0) -
     return out
 
 
-def heading_errors(
-    demos: Demonstrations, rule: Turning | Floats, individual: int = 0
-) -> HeadingErrors:
-    """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
-    heading = _recorded(demos, individual)[0][_steps(demos)]
-    one_step, free = _predicted(demos, rule, individual)
-    return HeadingErrors(
-        one_step=float(np.median(np.abs(_between(one_step, heading)))),
-        free_running=float(np.median(np.abs(_between(free, heading)))),
-        sectors=float(np.mean(_sector(free) == _sector(heading))),
-    )
-
-
 def heading_misses(demos: Demonstrations, rule: Turning | Floats, individual: int = 0) -> Floats:
     """Absolute differences from the recorded headings ``(2, steps)`` [rad], at all but first
     frames: after one step from the recorded state, and running free from the first one."""
     heading = _recorded(demos, individual)[0][_steps(demos)]
-    return np.abs(_between(np.stack(_predicted(demos, rule, individual)), heading))
+    return np.abs(shorter_turn(np.stack(_predicted(demos, rule, individual)), heading))
 
 
 def _predicted(
@@ -154,7 +124,7 @@ def _predicted(
     if not isinstance(rule, Turning):
         return rule[steps], rule[steps]
     turn = np.zeros(len(heading))
-    turn[steps] = _between(heading[steps], heading[steps - 1])
+    turn[steps] = shorter_turn(heading[steps], heading[steps - 1])
     before = turn[steps - 1], heading[steps - 1]
     predicted = before[1] + rule.next_turn(*before, velocity[steps])
     return predicted, free_running(demos, rule, individual)[steps]
@@ -189,15 +159,5 @@ def _chords(
     for j in range(len(wanted)):
         turn = turning.next_turn(turn, heading, velocity[j])
         heading = heading + turn
-        out[j] = 2.0 * np.sin(0.5 * _between(heading, wanted[j]))
+        out[j] = 2.0 * np.sin(0.5 * shorter_turn(heading, wanted[j]))
     return out.ravel()
-
-
-def _between(one: Floats, two: Floats) -> Floats:
-    """``one - two`` by the shorter way, in [-pi, pi)."""
-    return np.asarray((one - two + np.pi) % (2.0 * np.pi) - np.pi)
-
-
-def _sector(heading: Floats) -> NDArray[np.int64]:
-    """Quarter of the circle about front, left, back and right of upwind, 0 to 3."""
-    return np.asarray(np.floor((heading - np.pi) / (0.5 * np.pi) + 0.5) % 4, dtype=np.int64)

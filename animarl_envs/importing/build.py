@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING, INTERVAL
 from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
-from animarl_envs.importing.cleaning import Floats, clean, resample, runs, scales_of, shorter_turn
+from animarl_envs.importing.cleaning import Floats, clean, resample, runs, scales_of
 from animarl_envs.importing.cutting import (
     FEWEST_PIECES,
     Cut,
@@ -33,6 +33,7 @@ from animarl_envs.importing.sessions import (
     load_sessions,
 )
 from animarl_envs.importing.tracks import Tracks, each_alone, in_groups
+from animarl_envs.locomotion import shorter_turn
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
@@ -44,10 +45,7 @@ def demonstrations_from_tracks(
 ) -> Demonstrations:
     """Clean, scale, cut, resample and split; ``name`` is for messages.
 
-    Raises
-    ------
-    InputError
-        One sentence that names the file, the place and the remedy.
+    Raises InputError: one sentence that names the file, the place and the remedy.
     """
     require(recordings, f"{name}: there is no recording in it: give at least one")
     require(
@@ -136,7 +134,7 @@ def demonstrations_from_tracks(
             "keypoints": list(recordings[0].keypoints),
             "recipe": recipe.to_dict(),
             "scales": {
-                one.recording: scale.to_dict() for one, scale in zip(cleaned, scales, strict=True)
+                one.recording: asdict(scale) for one, scale in zip(cleaned, scales, strict=True)
             },
             "cleaning": done,
             "ends": _ends(cutting, cleaned, joined("outcome")),

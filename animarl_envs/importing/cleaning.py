@@ -10,8 +10,8 @@ scales of their own their speeds would not compare.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -23,6 +23,7 @@ from animarl_envs.checks import check_options, option
 from animarl_envs.demos.episode import FILLED, HEADING
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing.tracks import CENTROID, Tracks
+from animarl_envs.locomotion import shorter_turn
 
 Floats = NDArray[np.float64]
 
@@ -211,11 +212,6 @@ def find_jumps(bodies: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return np.asarray(far + [1, 0], dtype=np.int64), np.array(swaps, np.int64).reshape(-1, 3)
 
 
-def shorter_turn(end: Floats, start: Floats) -> Floats:
-    """Turns between angles [rad] by the shorter way, in [-pi, pi)."""
-    return np.asarray((end - start + np.pi) % (2.0 * np.pi) - np.pi)
-
-
 def fill_gaps(
     values: Floats, longest: int, way: Callable[[Floats, Floats], Floats] = np.subtract
 ) -> tuple[Floats, int]:
@@ -341,24 +337,12 @@ class Scale:
         """From the file's unit to arena units, ``(..., 2)``."""
         return np.asarray((positions - np.array(self.centre)) / self.unit * [1.0, self.y_sign])
 
-    def to_file(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
-        """From arena units back to the file's unit, ``(..., 2)``."""
-        return np.asarray(positions * [1.0, self.y_sign] * self.unit + np.array(self.centre))
-
     def turn_headings(self, tracks: Tracks) -> Tracks:
         """The recording with its headings, if it has some, counted counter-clockwise."""
         if HEADING not in tracks.signals or self.y_sign > 0:
             return tracks
         turned = -np.asarray(tracks.signals[HEADING], dtype=np.float64)
         return replace(tracks, signals={**tracks.signals, HEADING: turned})
-
-    def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> Scale:
-        x, y = record["centre"]
-        return cls((float(x), float(y)), float(record["unit"]), float(record["y_sign"]))
 
 
 def scales_of(

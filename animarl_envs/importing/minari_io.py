@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, plain, refusing_damage
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.files import refuse_special
@@ -72,7 +71,7 @@ def export_minari(demos: Demonstrations, folder: str | Path, dataset_id: str | N
                 f"Licence: {demos.provenance['licence']}. Actions are {origin}.",
                 "author": {"AnimaRL"},
                 "algorithm_name": "none: demonstrations",
-                METADATA_KEY: json.dumps(_metadata(demos, origin)),
+                METADATA_KEY: json.dumps(_metadata(demos, origin), default=plain),
             }
         )
         storage.update_episodes(
@@ -88,10 +87,7 @@ def export_packaged(root: str | Path) -> list[str]:
     ``MINARI_DATASETS_PATH=root`` lets Minari find them: ``animarl/newt/demonstrations-v0``. Each is
     opened by Minari once, which checks its spaces, numbers of episodes and steps.
 
-    Raises
-    ------
-    InputError
-        If a folder exists already, or Minari counts other steps than were written.
+    Raises InputError if a folder exists already, or Minari counts other steps than were written.
     """
     made = []
     for name in packaged_names():
@@ -116,10 +112,7 @@ def export_packaged(root: str | Path) -> list[str]:
 def import_minari(folder: str | Path) -> Demonstrations:
     """Read what :func:`export_minari` wrote; the package Minari is not needed for it.
 
-    Raises
-    ------
-    InputError
-        If it is no Minari dataset, or one that this project did not write.
+    Raises InputError if it is no Minari dataset, or one that this project did not write.
     """
     folder = Path(folder).resolve()
     file = folder / "data" / DATA_FILE
@@ -173,18 +166,14 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
     }
     if meta["actions"] == RECORDED:
         signals["actions"] = np.concatenate(actions)
-    known: dict[str, Any] = dict(meta["demonstrations"])
-    known |= {key: np.array(known[key]) for key in PER_EPISODE}
-    known["arena"]["boundary"] = float(known["arena"]["boundary"])
-    known |= {"arena": Arena(**known["arena"]), "individuals": tuple(names)}
-    return Demonstrations(
-        **known | {"roles": tuple(known["roles"])},
-        positions=np.concatenate([state[..., :2] for state in states]),
-        lengths=np.array([len(state) for state in states]),
-        initial_velocity=np.stack([state[0, :, 2:] for state in states]),
-        signals={key: signals[key] for key in meta["signal_order"]},
-        name=str(folder),
-    )
+    known: dict[str, Any] = meta["demonstrations"]
+    stored = {key: np.array(known[key]) for key in PER_EPISODE} | {
+        "positions": np.concatenate([state[..., :2] for state in states]),
+        "lengths": np.array([len(state) for state in states]),
+        "initial_velocity": np.stack([state[0, :, 2:] for state in states]),
+    }
+    stored |= {f"signal_{key}": signals[key] for key in meta["signal_order"]}
+    return Demonstrations(**Demonstrations.from_stored(folder, known, stored))
 
 
 def _actions(demos: Demonstrations) -> tuple[NDArray[np.int8], str]:
@@ -205,9 +194,7 @@ def _metadata(demos: Demonstrations, origin: str) -> dict[str, Any]:
         if not (key == "actions" and origin == RECORDED)
     }
     known: dict[str, Any] = {key: getattr(demos, key).tolist() for key in PER_EPISODE}
-    known |= {key: getattr(demos, key) for key in ("species", "individuals", "roles", "dt")}
-    known["arena"] = vars(demos.arena) | {"boundary": str(demos.arena.boundary)}
-    known["provenance"] = dict(demos.provenance)
+    known |= {key: getattr(demos, key) for key in demos.META}
     return {
         "demonstrations": known,
         "signals": as_infos,

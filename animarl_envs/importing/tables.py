@@ -125,10 +125,7 @@ class Table(Layout):
     ) -> tuple[dict[str, NDArray[np.float64]], dict[str, Words]]:
         """Return the named columns: numbers, empty cells NaN, and words, of which none is empty.
 
-        Raises
-        ------
-        InputError
-            It names the line and column of what cannot be read.
+        Raises InputError: it names the line and column of what cannot be read.
         """
         numbers = list(dict.fromkeys(numbers))
         self.check_names()
@@ -349,10 +346,8 @@ def open_table(
 ) -> Table:
     """Return the table in a file.
 
-    Raises
-    ------
-    InputError
-        If the file is no table, or it is not clear which sheet of a workbook is meant.
+    Raises InputError if the file is no table, or it is not clear which sheet of a workbook is
+    meant.
     """
     refuse_special(path)
     status = path.stat()
@@ -387,12 +382,8 @@ def plain_table(path: Path) -> Table:
 def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, str]]], list[str]]:
     """Return the lines of a small table beside recordings, and the names of its columns.
 
-    Of each line that is not blank its number, and its cells by column.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, lacks a needed column, or has a line of another length.
+    Of each line that is not blank its number, and its cells by column. Raises InputError if it
+    cannot be read, lacks a needed column, or has a line of another length.
     """
     refuse_unfinished(path)
     try:

@@ -14,7 +14,6 @@ from animarl_envs.locomotion import (
     COAST,
     NUM_ACTIONS,
     Locomotion,
-    action_directions,
     apply_actions,
     infer_actions,
     velocities,
@@ -41,7 +40,6 @@ def test_one_step_by_hand() -> None:
     for action, push in ((0, (0, 1)), (3, (1, 0)), (6, (0, -1)), (9, (-1, 0)), (COAST, (0, 0))):
         after = apply_actions(velocity, np.array(action), focus, OWN, DT)
         assert after == pytest.approx([1.5 + 0.3 * push[0], -3.0 + 0.3 * push[1]])
-        assert action_directions(np.array(action), focus) == pytest.approx(push)
 
 
 def test_the_action_taken_is_found_again() -> None:
@@ -110,9 +108,6 @@ def test_several_magnitudes_have_twelve_actions_each_and_one_to_coast() -> None:
         after = apply_actions(np.zeros(2), np.array(action), focus, own, DT)
         assert after == pytest.approx([0.3 * push[0], 0.3 * push[1]])
         assert infer_actions(np.zeros(2), after, focus, own, DT) == action
-        length = np.linalg.norm(push) or 1.0
-        towards = action_directions(np.array(action), focus, own.num_actions)
-        assert towards == pytest.approx(np.array(push) / length)
     assert own.terminal_speed(DT) == pytest.approx(2 * 3.0 * 0.1 / 0.25)
     assert own.top_speed(DT, 2) == pytest.approx(1.2)
 

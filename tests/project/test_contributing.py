@@ -66,6 +66,5 @@ NAMES_A_SPECIES = {
     "animarl_envs/drawing/palette.py",  # shapes of bodies, named after animals
     "animarl_envs/__init__.py",
     "animarl_envs/importing/readers/authors.py",
-    "animarl_envs/importing/readers/finished.py",
     "animarl_envs/importing/readers/published.py",
 }

@@ -67,31 +67,33 @@ ALLOWED: dict[tuple[str, str], str] = {
 
 LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
-    "animarl_algos": 220,
+    "animarl_algos": 215,
     "animarl_algos.benchmark": 2_154,
-    "animarl_algos.cli": 2_629,
-    "animarl_algos.data": 1_008,
+    "animarl_algos.cli": 2_608,
+    "animarl_algos.data": 995,
     "animarl_algos.evaluation": 5_739,
-    "animarl_algos.learner": 3_128,
+    "animarl_algos.learner": 3_021,
     "animarl_algos.losses": 618,
     "animarl_algos.networks": 1_790,
     "animarl_algos.recipes": 204,
-    "animarl_algos.replay": 991,
+    "animarl_algos.replay": 976,
     "animarl_algos.report": 2_620,
-    "animarl_algos.runs": 2_616,
+    "animarl_algos.runs": 2_558,
     "animarl_algos.whatif": 2_083,
-    "animarl_algos.zoo": 492,
-    "animarl_envs": 2_386,
-    "animarl_envs.demos": 1_309,
-    "animarl_envs.drawing": 1_060,
-    "animarl_envs.fitting": 2_514,
-    "animarl_envs.importing": 5_437,
+    "animarl_algos.zoo": 483,
+    "animarl_envs": 2_340,
+    "animarl_envs.demos": 1_288,
+    "animarl_envs.drawing": 1_048,
+    "animarl_envs.fitting": 2_451,
+    "animarl_envs.importing": 5_369,
     "animarl_envs.species": 1_214,
     "animarl_envs.views": 979,
     "animarl_envs.worlds": 4_178,
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
+TESTS = 32_956
+"""Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 
 class Import(NamedTuple):
@@ -240,6 +242,8 @@ def test_no_folder_grows_beyond_its_budget() -> None:
     assert set(lines) == set(BUDGETS)
     grown = {room: count for room, count in lines.items() if count > BUDGETS[room]}
     assert not grown, "lower what a folder holds before you raise its budget"
+    tests = (ROOT / "tests").rglob("*.py")
+    assert sum(len(path.read_text().splitlines()) for path in tests) <= TESTS
 
 
 def test_a_wrong_import_would_be_seen() -> None:

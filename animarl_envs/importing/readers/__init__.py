@@ -3,7 +3,6 @@
 from animarl_envs.importing.readers import (
     arrays,
     authors,
-    finished,
     poses,
     published,
     table_files,
@@ -23,6 +22,6 @@ from animarl_envs.importing.readers.registry import (
 
 __all__ = [
     "Reader", "arrays", "authors", "available_readers", "default_recipe", "find_reader",
-    "finished", "follow", "get_reader", "poses", "published", "read", "read_tracks",
+    "follow", "get_reader", "poses", "published", "read", "read_tracks",
     "register_track_reader", "table_files", "trackers",
 ]  # fmt: skip

@@ -153,10 +153,7 @@ def is_hdf(path: Path) -> bool:
 def open_hdf(path: Path) -> Any:
     """Return an open ``h5py.File`` that points nowhere and holds usual numbers.
 
-    Raises
-    ------
-    InputError
-        If it is none, is damaged, or holds anything unusual.
+    Raises InputError if it is none, is damaged, or holds anything unusual.
     """
     try:
         import h5py

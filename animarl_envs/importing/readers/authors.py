@@ -223,10 +223,7 @@ DEEPEST = 40  # lists within lists; no recording nests deeper
 def load_plain(raw: bytes, name: str) -> Any:
     """Return the value pickled in ``raw``, if it is made of plain things.
 
-    Raises
-    ------
-    InputError
-        If it is of anything else, or damaged.
+    Raises InputError if it is of anything else, or damaged.
     """
     try:
         return _made(_Restricted(io.BytesIO(raw)).load(), 0)

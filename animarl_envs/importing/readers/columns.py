@@ -194,10 +194,7 @@ def find_columns(table: Table) -> Columns:
 def radians_per_unit(path: Path, column: str, unit: str | None) -> float:
     """Of a table's column of headings, whose unit is stated or stands in its name.
 
-    Raises
-    ------
-    InputError
-        If neither says whether these are radians or degrees.
+    Raises InputError if neither says whether these are radians or degrees.
     """
     match = _ANGLE_UNIT.search(column)
     named = unit or (match[1].lower() if match else None)

@@ -176,6 +176,8 @@ def _find_own_reader(path: Path) -> str:
 def read(path: str | Path, source: str | None = None, **options: Any) -> Demonstrations:
     """Read demonstrations from one file.
 
+    Raises InputError if the file is missing, of no known source, or refused by its reader.
+
     Parameters
     ----------
     path
@@ -185,11 +187,6 @@ def read(path: str | Path, source: str | None = None, **options: Any) -> Demonst
     options
         Handed to the reader; for a tracker's file also entries of the recipe, such as
         ``frame_rate``.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, of no known source, or refused by its reader.
     """
     path = Path(path)
     reader = find_reader(path, source)
@@ -285,10 +282,7 @@ def follow(
 
     ``progress`` is told the share of the work done, 0 to 1.
 
-    Raises
-    ------
-    InputError
-        One sentence that names the file, the place and the remedy.
+    Raises InputError: one sentence that names the file, the place and the remedy.
     """
     if not files:
         raise InputError("no file was given: name at least one")

@@ -19,7 +19,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import first_of_role, join
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
-from animarl_envs.fitting.turning import along_travel, fit_turning, heading_errors
+from animarl_envs.fitting.turning import along_travel, fit_turning, heading_misses
 from animarl_envs.scenario import with_options
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.views.common import plain
@@ -36,10 +36,9 @@ def test_planted_turnings_of_each_are_found_again(noise: float, within: float) -
         numbers = [found.persistence, found.gain, found.slip]
         assert numbers == pytest.approx([rule.persistence, rule.gain, rule.slip], abs=within)
         assert found.speed == pytest.approx(rule.speed)
-        own = heading_errors(demos, found, i)
-        travel = heading_errors(demos, along_travel(demos, i), i)
-        assert own.one_step < 0.5 * travel.one_step
-        assert own.free_running < travel.free_running
+        own = np.median(heading_misses(demos, found, i), axis=1)
+        travel = np.median(heading_misses(demos, along_travel(demos, i), i), axis=1)
+        assert (own < [0.5, 1.0] * travel).all()
 
 
 def test_long_recordings_are_fitted_from_some_of_their_steps(

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
 from animarl_envs.demos import Demonstrations
-from animarl_envs.fitting.states import compare_states, fit_states
+from animarl_envs.fitting.states import compare_states
 from animarl_envs.locomotion import Locomotion
 
 FAST = tuple(Locomotion(d, u) for d, u in ((0.2, 2.0), (0.25, 2.4), (0.3, 3.0)))
@@ -27,7 +27,7 @@ def two() -> Demonstrations:
 
 def test_two_states_are_recovered(two: Demonstrations) -> None:
     for i, (fast, slow) in enumerate(zip(FAST, SLOW, strict=True)):
-        fit = fit_states(two, i, states=2)
+        (fit,), _ = compare_states(two, i, (2,), (1,))
         np.testing.assert_allclose(fit.damping, [slow.damping, fast.damping], atol=0.03)
         np.testing.assert_allclose(fit.thrusts[:, 0], [slow.thrust, fast.thrust], rtol=0.05)
         np.testing.assert_allclose(fit.bout, 20 * DT, rtol=0.3)  # a chance of one in twenty
@@ -46,8 +46,9 @@ def test_states_look_at_no_test_episode(two: Demonstrations) -> None:
     spoilt = two.positions.copy()
     for episode in np.flatnonzero(two.split == "test"):
         spoilt[two.offsets[episode] : two.offsets[episode + 1]] = 0.0
-    without = fit_states(replace(two, positions=spoilt), 0, states=2)
-    np.testing.assert_array_equal(without.held_out, fit_states(two, 0, states=2).held_out)
+    (without,), _ = compare_states(replace(two, positions=spoilt), 0, (2,), (1,))
+    (whole,), _ = compare_states(two, 0, (2,), (1,))
+    np.testing.assert_array_equal(without.held_out, whole.held_out)
 
 
 def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path: Path) -> None:
@@ -81,4 +82,4 @@ def test_bad_states_are_refused(options: tuple[str, ...], sentence: str) -> None
 
 
 def test_states_need_episodes_to_validate_on(two: Demonstrations) -> None:
-    refuses("no val episodes", fit_states, two.select(split="train"), 0, states=2)
+    refuses("no val episodes", compare_states, two.select(split="train"), 0, (2,), (1,))

@@ -27,7 +27,6 @@ from animarl_envs.locomotion import (
     MOST_THRUSTS,
     NUM_ACTIONS,
     Locomotion,
-    action_directions,
     apply_actions,
     infer_actions,
 )
@@ -55,16 +54,6 @@ def test_an_action_is_a_magnitude_and_a_direction_and_the_last_coasts() -> None:
         expected = MULTIPLES[action // 12] * ACTION_VECTORS[action % 12]
         np.testing.assert_array_equal(vectors[action], expected)
     assert not vectors[36].any()
-
-
-def test_directions_forget_the_magnitude() -> None:
-    focus = np.array([0.6, 0.8])
-    for action in range(36):
-        np.testing.assert_array_equal(
-            action_directions(np.array(action), focus, 37),
-            action_directions(np.array(action % 12), focus),
-        )
-    assert not action_directions(np.array(36), focus, 37).any()
 
 
 @pytest.mark.parametrize("given", [(), (0.5, 1.0), (1.0, 1.0), (1.0, 0.0), (1.0, -1.0), "1",

@@ -19,12 +19,12 @@ from animarl_envs.importing.cleaning import (
     clean,
     fill_gaps,
     resample,
-    shorter_turn,
 )
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import follow, read_tracks
 from animarl_envs.importing.tracks import Tracks, merge
+from animarl_envs.locomotion import shorter_turn
 from tools.fuzz.layouts import POSE, write_analysis, write_dlc_csv, write_slp
 
 RATE, FRAMES = 20.0, 200
