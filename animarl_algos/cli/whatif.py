@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from animarl_algos.runs.run import Run
     from animarl_algos.whatif.answer import Answer
 
-COLOURS = {"none": "green", "some": "yellow", "red": "red"}
+COLOURS = {"none": "none", "some": "yellow", "red": "red"}
 
 
 @helps(
@@ -162,6 +162,8 @@ def _print(console: Console, answer: Answer) -> None:
     """Print one answer as it is ready."""
     from rich.table import Table
 
+    from animarl_algos.whatif.answer_page import asides
+
     table = Table(title=answer.scenario.name, title_justify="left", box=None)
     table.add_column("quantity", no_wrap=True)
     for column in ("recorded", "baseline", "changed"):
@@ -175,9 +177,5 @@ def _print(console: Console, answer: Answer) -> None:
             style=style,
         )  # fmt: skip
     console.print(table)
-    if answer.thrusts:
-        took = ", ".join(f"{name} x{factor:.3g}" for name, factor in answer.thrusts.items())
-        console.print(f"thrust that the speed took: {took}", highlight=False)
-    if answer.reason:
-        colour = COLOURS[answer.warning]
-        console.print(f"[{colour}]Warning ({answer.warning}): {answer.reason}[/{colour}]")
+    for sentence in asides(answer):
+        console.print(sentence, style=COLOURS[answer.warning], highlight=False, markup=False)

@@ -87,8 +87,8 @@ class Answer:
         warning, judged, finding``. ``gap`` is baseline minus recorded, ``seeds_low`` to
         ``seeds_high`` the range of the shifts of single training seeds, ``beyond`` the share of
         steps more than usual with inputs that training did not have. ``null_low`` to ``null_high``
-        is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these are
-        as large.
+        is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these move
+        any quantity as far.
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
         falls.
     warning
@@ -319,8 +319,7 @@ class _Asker:
             watched: list[WatchedPolicy] = []
 
             def wrap(policy: Any, ranges: InputRange = ranges, into: Any = watched) -> Any:
-                own = InputRange(ranges.low[there], ranges.high[there], ranges.names)
-                into.append(WatchedPolicy(policy, own))
+                into.append(WatchedPolicy(policy, ranges.of_individuals(there)))
                 return into[-1]
 
             cue: dict[str, Any] = {}
@@ -443,8 +442,8 @@ class _Asker:
             which = int(np.argmax(inputs[worst] - self.usual_inputs[worst]))
             reasons.append(
                 f"in {more[worst]:.0%} more steps than usual {self.species.individuals[worst]} "
-                "perceives what it never did in training (most of all: "
-                f"{self.ranges[0].names[which]})"
+                "perceives what it never did in training: most often, "
+                f"{self.ranges[0].what(worst, which)}"
             )
         turned = [
             str(row["quantity"])
@@ -481,7 +480,10 @@ def judge(row: Mapping[str, Any], of_a_cue: bool) -> str:
 
 
 def share_as_large(shifts: Floats, null: Floats) -> Floats:
-    """Return ``p`` of each quantity's shift among those of permuted conditions.
+    """Return ``p`` of each quantity's shift: how often permuted conditions move any of them as far.
+
+    An answer has several quantities, which are tested together: a shift counts in units of what
+    permuted conditions move its quantity by (Westfall and Young 1993, the largest of each network).
 
     Parameters
     ----------
@@ -490,7 +492,10 @@ def share_as_large(shifts: Floats, null: Floats) -> Floats:
     null
         ``(networks, quantities)``.
     """
-    as_large = (np.abs(null) >= np.abs(shifts)).sum(axis=0)
+    spread = np.sqrt(np.mean(np.square([*null, shifts]), axis=0))
+    spread[spread == 0] = 1.0  # what nobody moves stays where it is
+    largest = (np.abs(null) / spread).max(axis=1)
+    as_large = (~(largest[:, None] < np.abs(shifts) / spread)).sum(axis=0)
     return np.asarray((1 + as_large) / (1 + len(null)))
 
 

@@ -55,6 +55,11 @@ WHAT_IT_IS = (
     "smaller than the gap between the unchanged simulation and the recordings is no finding."
 )
 GUESS = "This answer is a guess."
+WARNINGS = (
+    f"A warning is some above {YELLOW:.0%} and red above {RED:.0%} more steps than in the "
+    "unchanged world in which an individual perceives what lies beyond the central 99.8 % of its "
+    "training inputs. No warning is no guarantee."
+)
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
 MOST_PLAYED = 6  # scenarios in the player
 RECORDED, UNCHANGED = "recorded", "unchanged"
@@ -93,7 +98,7 @@ def words(found: WhatIf) -> str:
     lines = ["# What if", "", what_it_is(found), ""]
     for answer in found.answers:
         lines += [f"## {answer.scenario.name}", ""]
-        lines += [f"{sentence}\n" for sentence in _asides(answer)]
+        lines += [f"{sentence}\n" for sentence in asides(answer)]
         lines += ["| quantity | recorded | baseline | changed | shift |", "|---|---|---|---|---|"]
         for _, row in answer.table.iterrows():
             numbers = [f"{row[key]:.3g}" for key in ("recorded", "baseline", "changed")]
@@ -101,16 +106,11 @@ def words(found: WhatIf) -> str:
             p = f", p = {row['p']:.3g}" if row["p"] == row["p"] else ""
             lines.append(f"| {row['quantity']} | {' | '.join(numbers)} | {shift}{p} |")
         lines += ["", *(f"- {sentence}" for sentence in findings(answer)), ""]
-    lines += [
-        f"Warnings: *some* above {YELLOW:.0%} and *red* above {RED:.0%} more steps than usual with "
-        "an input beyond the central 99.8 % of the training inputs.",
-        "",
-    ]
-    return "\n".join(lines)
+    return "\n".join([*lines, WARNINGS, ""])
 
 
-def _asides(answer: Answer) -> Iterator[str]:
-    """Yield what thrusts a wanted speed took, and the warning."""
+def asides(answer: Answer) -> Iterator[str]:
+    """Yield in sentences what thrusts a wanted speed took, and the warning."""
     if answer.thrusts:
         took = ", ".join(f"{name} x{factor:.3g}" for name, factor in answer.thrusts.items())
         yield f"Thrusts that the speeds took: {took}."
@@ -185,13 +185,9 @@ def _lead(found: WhatIf) -> Lead:
 
 def _in_short(found: WhatIf) -> Iterator[Block]:
     yield Sentences(
-        [f"{a.scenario.name}: {' '.join([*findings(a), *_asides(a)])}" for a in found.answers]
+        [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
     )
-    yield Text(
-        f"A warning is some above {YELLOW:.0%} and red above {RED:.0%} more steps than in the "
-        "unchanged world in which an individual perceives what lies beyond the central 99.8 % of "
-        "its training inputs. No warning is no guarantee."
-    )
+    yield Text(WARNINGS)
 
 
 def _shift_table(found: WhatIf, inputs: PageInputs) -> Table:

@@ -8,6 +8,8 @@ compared too.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -17,14 +19,96 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.collect import Policy
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.focus import is_free
 from animarl_envs.species import Species
 from animarl_envs.worlds import demonstration_observations, observation_components
+from animarl_envs.worlds.base import ObservationComponent
 
 Floats = NDArray[np.float64]
 
 TAIL = 0.001  # of the training inputs, on either side
 YELLOW, RED = 0.05, 0.25  # more steps beyond than in the unchanged world
 # Of 39 changes below YELLOW 3 were predicted wrongly, of 11 above RED 8.
+
+
+SIDES = {
+    "ahead": "[behind|ahead of] it", "left": "to the [right|left] of it",
+    "x": "to the [left|right] of it", "y": "[below|above] it",
+}  # fmt: skip
+WAYS = {
+    "ahead": "[backwards|forwards]", "left": "to the [right|left]",
+    "x": "to the [left|right]", "y": "[downwards|upwards]",
+    "outwards": "[away from|towards] the wall", "along": "along the wall",
+}  # fmt: skip
+NEW = "in a direction that is new to it"
+PHRASES = {
+    # The name of an input, and what it means that it is [below|above] the range of training. WHO is
+    # the individual itself or one of the others; WAY and SIDE follow from the name's last word.
+    r"mean velocity over (.*) / .*": r"over the last \1 WHO moved WAY faster",
+    r"log of \(mean \w+ over (.*) / .*": r"over the last \1 WHO was [slower|faster]",
+    r"mean turn of the course over (.*)": r"over the last \1 WHO turned [right|left] faster",
+    r"(own )?velocity harmonic.*|body angle.*": f"WHO moves {NEW}",
+    r"(own )?velocity.*": "WHO moves WAY faster",
+    r"log of \(own speed.*|log speed": "WHO is [slower|faster]",
+    r"own acceleration harmonic.*": f"WHO pushes {NEW}",
+    r"(own )?acceleration.*": "WHO pushes WAY harder",
+    r"log of \(1 \+ steps.*": "the episode lasts [shorter|longer]",
+    r"own (speed|turning)": r"WHO is told of a [lower|higher] own \1",
+    r"(own )?heading.*": f"WHO points {NEW}",
+    r"focus direction.*": f"what WHO faces is {NEW}",
+    r"(own )?position.*": "WHO is farther WAY in the arena",
+    r"relative position.*|difference.*": "WHO is farther SIDE",
+    r"relative velocity.*": "seen from it, WHO moves WAY faster",
+    r"distance": "WHO is [nearer|farther]",
+    r"inverse of .*": "WHO is [farther|nearer]",
+    r"bearing.*|direction [cs].*": f"WHO is {NEW}",
+    r"distance from the centre": "WHO is [nearer to|farther from] the centre",
+    r"distance to the (edge|wall).*": r"WHO is [nearer to|farther from] the \1",
+    r"centre of the arena.*": "the centre of the arena is farther SIDE",
+    r"direction of the wall.*": f"the wall is {NEW}",
+    r"(odour|hit|trace) (left|right)": r"WHO smells [less|more] on the \2",
+    r"odour left minus right": "WHO smells more on the [right|left]",
+    r"odour left plus right": "WHO smells [less|more]",
+    r"visual flow|yaw rate": "WHO turns [right|left] faster",
+    r"wind from (.*)": r"WHO feels [less|more] wind from \1",
+}
+
+
+def in_words(component: ObservationComponent) -> tuple[str, str]:
+    """Return what an input below its training range means to an individual, and one above it.
+
+    ``{2}`` stands for the second of the others, as :func:`others_in_order` names them.
+    """
+    other = re.fullmatch(r"other (\d+) (.*)", component.name)
+    who, name = (f"{{{other[1]}}}", other[2]) if other else ("it", component.name)
+    name = name.removeprefix("tanh of ").removesuffix(" / u")
+    found, text = next(
+        (match, sentence)
+        for pattern, sentence in PHRASES.items()
+        if (match := re.fullmatch(pattern, name))
+    )
+    last = re.findall(r"\w+", re.sub(", (fine|coarse)", "", name))[-1]
+    way = "[downwind|upwind]" if "upwind" in component.frame and last == "ahead" else WAYS.get(last)
+    for mark, words in (("WHO", who), ("WAY", way), ("SIDE", SIDES.get(last))):
+        text = text.replace(mark, str(words))
+    text = found.expand(text) + " than ever in training" * (not text.endswith(NEW))
+    below, above = (re.sub(r"\[(.*?)\|(.*?)\]", end, text) for end in (r"\1", r"\2"))
+    return below, above
+
+
+def others_in_order(species: Species, individual: int) -> list[str]:
+    """Return the others in the order in which an individual perceives them.
+
+    The last individual, whom all others face, comes first; the many are told by their distance.
+    """
+    names = species.individuals
+    faced = not is_free(species.roles) and individual < len(names) - 1
+    first = [names[-1]] * faced
+    rest = [name for name in names if name not in (names[individual], *first)]
+    if len(rest) > 1:
+        ordinals = ["", "second ", "third ", *(f"{k}th " for k in range(4, len(rest) + 1))]
+        rest = [f"the {ordinals[k]}nearest other" for k in range(len(rest))]
+    return [*first, *rest]
 
 
 class Caution(StrEnum):
@@ -37,11 +121,22 @@ class Caution(StrEnum):
 
 @dataclass(frozen=True)
 class InputRange:
-    """The central range of training inputs, ``(individuals, components)`` each."""
+    """The central range of training inputs.
+
+    Parameters
+    ----------
+    low, high
+        ``(individuals, components)`` each.
+    words
+        What every component below its range means, and then above it (:func:`in_words`).
+    others
+        Of each individual, as its words name them.
+    """
 
     low: Floats
     high: Floats
-    names: tuple[str, ...]
+    words: tuple[str, ...]
+    others: tuple[Sequence[str], ...]
 
     @classmethod
     def of(cls, species: Species, training: Demonstrations) -> InputRange:
@@ -49,8 +144,18 @@ class InputRange:
         seen = demonstration_observations(species, training)
         low, high = np.quantile(seen, [TAIL, 1.0 - TAIL], axis=0)
         margin = 1e-6 * (1.0 + np.abs(high - low))
-        names = tuple(component.name for component in observation_components(species))
-        return cls(low - margin, high + margin, names)
+        below, above = zip(*map(in_words, observation_components(species)), strict=True)
+        others = tuple(others_in_order(species, i) for i in range(len(species.individuals)))
+        return cls(low - margin, high + margin, below + above, others)
+
+    def of_individuals(self, own: Sequence[int]) -> InputRange:
+        """Return the range of some of the individuals."""
+        others = tuple(self.others[i] for i in own)
+        return InputRange(self.low[own], self.high[own], self.words, others)
+
+    def what(self, individual: int, side: int) -> str:
+        """Return what leaves the range in words, as :class:`WatchedPolicy` counts it."""
+        return self.words[side].format("", *self.others[individual])
 
 
 class WatchedPolicy:
@@ -60,15 +165,15 @@ class WatchedPolicy:
     ----------
     steps, beyond
         ``(individuals,)`` steps, and those with any input beyond its range.
-    components
-        ``(individuals, components)`` steps with this input beyond its range.
+    sides
+        ``(individuals, 2 components)`` steps with this input below its range, then above it.
     """
 
     def __init__(self, policy: Policy, inputs: InputRange) -> None:
         self.policy, self.inputs = policy, inputs
         individuals, components = inputs.low.shape
         self.steps, self.beyond = np.zeros((2, individuals))
-        self.components = np.zeros((individuals, components))
+        self.sides = np.zeros((individuals, 2 * components))
         self._pending: NDArray[np.bool_] | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -85,7 +190,8 @@ class WatchedPolicy:
         self.finish()
         individuals, components = self.inputs.low.shape
         seen = observation[:, :components].reshape(-1, individuals, components)
-        self._pending = (seen < self.inputs.low) | (seen > self.inputs.high)
+        sides = (seen < self.inputs.low, seen > self.inputs.high)
+        self._pending = np.concatenate(sides, axis=2)
         self._alive = np.ones(self._pending.shape[:2], dtype=bool)
         return self.policy.predict(observation, state, episode_start, deterministic)
 
@@ -102,11 +208,11 @@ class WatchedPolicy:
         beyond = self._pending & self._alive[..., None]
         self.steps += self._alive.sum(axis=0)
         self.beyond += beyond.any(axis=2).sum(axis=0)
-        self.components += beyond.sum(axis=0)
+        self.sides += beyond.sum(axis=0)
         self._pending = None
 
     def shares(self) -> tuple[Floats, Floats]:
-        """Return the shares of steps: of any input, and of each ``(individuals, components)``."""
+        """Return the shares of steps beyond: of any input, and of each below and above."""
         self.finish()
         steps = np.maximum(self.steps, 1.0)
-        return self.beyond / steps, self.components / steps[:, None]
+        return self.beyond / steps, self.sides / steps[:, None]

@@ -126,7 +126,8 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         "ranges": {
             "low": _packed(np.nan_to_num(ranges.low, neginf=-1e30).astype(np.float64)),
             "high": _packed(np.nan_to_num(ranges.high, posinf=1e30).astype(np.float64)),
-            "names": list(ranges.names),
+            "words": list(ranges.words),
+            "others": list(ranges.others),
         },
         "starts": _starts(test, scenario),
         "recorded": _recorded(test, run),
@@ -140,36 +141,27 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
 def _refuse(scenario: Scenario) -> None:
     """Refuse what the browser's simulator does not have."""
     species = scenario.species
-    if len(species.individuals) > MOST_INDIVIDUALS:
-        raise InputError(
-            f"{len(species.individuals)} individuals are more than the {MOST_INDIVIDUALS} that a "
-            "page can simulate: use 'animarl whatif'"
-        )
-    if any(driver != "action" for driver in scenario.drivers):
-        raise InputError(
-            "only some individuals of this run learned and the others follow their recordings, "
-            "which a page does not carry: train all of them, or use 'animarl whatif'"
-        )
-    if scenario.observation_noise or scenario.observation_delay:
-        raise InputError(
-            "the senses of this run are noisy or late, which a page does not simulate: use "
-            "'animarl whatif'"
-        )
-    if isinstance(species, ChaseSpecies) and species.has_headings:
-        raise InputError(
-            "the individuals of this run have headings of their own, which a page does not "
-            "simulate: train without senses_heading, or use 'animarl whatif'"
-        )
-    if isinstance(species, SearchSpecies) and species.traits is not None:
-        raise InputError(
-            "the individuals of this run differ by traits, which a page does not simulate: use "
-            "'animarl whatif'"
-        )
-    if isinstance(species, SearchSpecies) and not isinstance(as_plume(species.plume), ModelPlume):
-        raise InputError(
-            "this run searches a plume of the user's own, which a page does not carry: use "
-            "'animarl whatif'"
-        )
+    searcher = species if isinstance(species, SearchSpecies) else None
+    many = len(species.individuals)
+    refused = {
+        f"{many} individuals are more than the {MOST_INDIVIDUALS} that a page can simulate":
+            many > MOST_INDIVIDUALS,
+        "only some individuals of this run learned and the others follow their recordings, which "
+        "a page does not carry: train all of them, or":
+            any(driver != "action" for driver in scenario.drivers),
+        "the senses of this run are noisy or late, which a page does not simulate":
+            bool(scenario.observation_noise or scenario.observation_delay),
+        "the individuals of this run have headings of their own, which a page does not simulate: "
+        "train without senses_heading, or":
+            isinstance(species, ChaseSpecies) and species.has_headings,
+        "the individuals of this run differ by traits, which a page does not simulate":
+            searcher is not None and searcher.traits is not None,
+        "this run searches a plume of the user's own, which a page does not carry":
+            searcher is not None and not isinstance(as_plume(searcher.plume), ModelPlume),
+    }  # fmt: skip
+    for why, holds in refused.items():
+        if holds:
+            raise InputError(f"{why}{'' if why.endswith('or') else ':'} use 'animarl whatif'")
 
 
 def _packed(array: NDArray[Any]) -> dict[str, Any]:

@@ -927,7 +927,7 @@ const AnimaRL = (() => {
     const world = makeWorld(model, options, B), policy = new Policy(model, B);
     const flags = new Int8Array(B), random = tasks.map(([start, again]) => stream(seed, start, again));
     const path = new Float64Array(B * K), near = new Float64Array(B), frames = new Int32Array(B).fill(1);
-    const beyond = new Float64Array(K), seen = new Float64Array(K), inputs = new Float64Array(K * world.n);
+    const beyond = new Float64Array(K), seen = new Float64Array(K), inputs = new Float64Array(2 * K * world.n);
     const actions = new Int32Array(K);
     tasks.forEach(([start], b) => {
       const [condition, told] = conditions(model, options, start);
@@ -978,7 +978,7 @@ const AnimaRL = (() => {
     return {
       results,
       beyond: Array.from(beyond, (value, i) => value / Math.max(seen[i], 1)),
-      inputs: Array.from(inputs, (value, k) => value / Math.max(seen[Math.floor(k / world.n)], 1)),
+      inputs: Array.from(inputs, (value, k) => value / Math.max(seen[Math.floor(k / (2 * world.n))], 1)),
     };
   }
 
@@ -1030,14 +1030,14 @@ const AnimaRL = (() => {
     }
   }
 
-  /** Add to the counts of inputs beyond their training range; return 1 if there is any. */
+  /** Add to the counts of inputs below their training range, and above it; return 1 if there is any. */
   function countBeyond(model, i, observation, at, inputs) {
     const { low, high } = model.ranges, n = low.shape[1];
     let any = 0;
     for (let c = 0; c < n; c++) {
-      const value = observation[at + c];
-      if (value < low[i * n + c] || value > high[i * n + c]) {
-        inputs[i * n + c] += 1;
+      const value = observation[at + c], above = value > high[i * n + c];
+      if (above || value < low[i * n + c]) {
+        inputs[2 * i * n + above * n + c] += 1;
         any = 1;
       }
     }

@@ -402,13 +402,13 @@
 
   function show(before, after) {
     const more = after.beyond.map((share, i) => (absent.has(i) ? 0 : share - before.beyond[i]));
-    const worst = more.indexOf(Math.max(...more)), n = model.ranges.low.shape[1];
+    const worst = more.indexOf(Math.max(...more)), n = model.ranges.words.length;
     const red = more[worst] > RED, some = more[worst] > YELLOW;
     const inputs = after.inputs.slice(worst * n, (worst + 1) * n).map((value, c) => value - before.inputs[worst * n + c]);
-    const which = model.ranges.names[inputs.indexOf(Math.max(...inputs))];
+    const which = model.ranges.words[inputs.indexOf(Math.max(...inputs))].replace(/{(\d+)}/, (_, k) => model.ranges.others[worst][k - 1]);
     $("warning").className = `warning ${red ? "red" : some ? "some" : "none"}`;
     $("warning").textContent = some
-      ? `${red ? "This answer is a guess. " : ""}In ${Math.round(100 * more[worst])} % more steps than usual ${names[worst]} perceives what it never perceived in training (most of all: ${which}).`
+      ? `${red ? "This answer is a guess. " : ""}In ${Math.round(100 * more[worst])} % more steps than usual ${names[worst]} perceives what it never did in training: most often, ${which}.`
       : "The animals perceive hardly anything that they did not perceive in training.";
     const body = $("table");
     body.replaceChildren();

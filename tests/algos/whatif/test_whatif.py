@@ -1,5 +1,6 @@
 """What-if questions: the words of changes, paired answers, warnings, and the command."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,15 +17,15 @@ from animarl_algos import load_run
 from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
-from animarl_algos.whatif.answer import ask, judge
+from animarl_algos.whatif.answer import ask, judge, share_as_large
 from animarl_algos.whatif.answer_page import answer_page, words
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
-from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
+from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy, in_words, others_in_order
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
-from animarl_envs.species import get_species
+from animarl_envs.species import SPECIES, get_species
 from animarl_envs.species.traits import Traits
-from animarl_envs.worlds import make_world
+from animarl_envs.worlds import make_world, observation_components
 from animarl_envs.worlds.plume.plume import ModelPlume
 
 AGENT, MOTH = get_species("agent"), get_species("silkmoth")
@@ -229,7 +230,7 @@ def test_runs_of_other_animals_are_refused_and_seeds_have_a_range(chase: Run) ->
 
 def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: Run) -> None:
     (answer,) = ask([chase], ["arena=x3"], repetitions=2).answers
-    assert answer.warning == "red" and "distance to the edge" in answer.reason
+    assert answer.warning == "red" and "farther from the edge than ever" in answer.reason
     assert not answer.table["finding"].any()
 
 
@@ -256,7 +257,8 @@ def test_watching_counts_running_episodes_only() -> None:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
             return np.zeros(len(observation), dtype=int), state
 
-    inputs = InputRange(np.zeros((2, 3)), np.ones((2, 3)), ("a", "b", "c"))
+    words = ("low a", "low b", "{1} is near", "high a", "high b", "{1} is far")
+    inputs = InputRange(np.zeros((2, 3)), np.ones((2, 3)), words, (["prey"], ["predator"]))
     watched = WatchedPolicy(Still(), inputs)
     seen = np.full((4, 4), 0.5)  # two copies of two individuals, a flag behind
     seen[0, 1] = 2.0
@@ -264,10 +266,37 @@ def test_watching_counts_running_episodes_only() -> None:
     watched.leave_out(None, np.array([False, False, True, True]))
     seen[3, 2] = -1.0
     watched.predict(seen)
-    beyond, components = watched.shares()
+    beyond, sides = watched.shares()
     assert beyond.tolist() == [2 / 3, 1 / 3]
-    assert components[0].tolist() == [0.0, 2 / 3, 0.0]
-    assert components[1].tolist() == [0.0, 0.0, 1 / 3]
+    assert sides[0].tolist() == [0, 0, 0, 0, 2 / 3, 0] and inputs.what(0, 4) == "high b"
+    assert sides[1].tolist() == [0, 0, 1 / 3, 0, 0, 0] and inputs.what(1, 2) == "predator is near"
+    assert inputs.of_individuals([1]).what(0, 5) == "predator is far"
+
+
+def test_what_leaves_the_range_is_told_in_words_of_ethology() -> None:
+    said = {}
+    for species in SPECIES.values():
+        for observation in ("compact", "paper", "full"):
+            for one in observation_components(replace(species, observation=observation)):
+                words = said[species.name, one.name] = in_words(one)
+                assert not re.search(
+                    r"None|tanh|log|harmonic|sine|[/\\[|\]]|WHO|WAY|SIDE", words[0]
+                )
+                assert (words[0] == words[1]) == ("new to it" in words[0] or "along" in words[0])
+    left, right = said["agent", "other 2 relative position left"][::-1]
+    assert left == "{2} is farther to the left of it than ever in training"
+    assert right == "{2} is farther to the right of it than ever in training"
+    faster = said["agent", "tanh of own velocity / (u dt) ahead"][1]
+    assert faster == "it moves forwards faster than ever in training"
+    assert said["silkmoth", "velocity ahead"][1] == "it moves upwind faster than ever in training"
+    near = said["agent", "other 1 inverse of (distance + 0.1 size)"][1]
+    assert near == "{1} is nearer than ever in training"
+    turned = said["shoal", "mean turn of the course over 5 s"][0]
+    assert turned == "over the last 5 s it turned right faster than ever in training"
+    assert others_in_order(AGENT, 0) == ["prey", "predator_1"]
+    assert others_in_order(AGENT, 2) == ["the nearest other", "the second nearest other"]
+    assert others_in_order(get_species("shoal"), 0)[3] == "the 4th nearest other"
+    assert others_in_order(MOTH, 0) == []
 
 
 def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
@@ -361,16 +390,20 @@ def test_a_cue_is_no_finding_where_permuted_conditions_shift_as_far(chase: Run) 
     assert "networks of permuted conditions" in words(found)
 
 
-def test_of_twenty_cues_with_permuted_conditions_one_is_a_finding() -> None:
-    """Whatever they shift by: the largest alone lies beyond the 19 others."""
-    shifts = np.random.default_rng(0).normal(0.0, 3.0, 20)
-    said = []
-    for k, shift in enumerate(shifts):
-        others = np.abs(np.delete(shifts, k)) >= abs(shift)
-        row = {"shift": shift, "low": shift - 0.01, "high": shift + 0.01, "gap": 0.0,
-               "warning": "none", "p": (1 + others.sum()) / 20}  # fmt: skip
-        said.append(judge(row, of_a_cue=True))
-    assert said.count("as by chance") == 19 and said[np.abs(shifts).argmax()] in ("rises", "falls")
+@pytest.mark.parametrize("quantities", [1, 7])
+def test_of_twenty_cues_with_permuted_conditions_one_claims_something(quantities: int) -> None:
+    """However many quantities are asked: the network that shifts one farthest, of its own null."""
+    rng = np.random.default_rng(0)
+    shifts = rng.normal(0.0, 3.0, (20, quantities)) * rng.uniform(0.1, 10.0, quantities)
+    claims = []
+    for k, own in enumerate(shifts):
+        for shift, p in zip(own, share_as_large(own, np.delete(shifts, k, axis=0)), strict=True):
+            ends = {"low": shift - 1e-3, "high": shift + 1e-3, "gap": 0.0, "warning": "none"}
+            if judge({"shift": shift, "p": p, **ends}, of_a_cue=True) != "as by chance":
+                claims.append(k)
+    assert len(set(claims)) == 1
+    far = 4 * np.abs(shifts).max(axis=0)
+    assert share_as_large(far, shifts) == pytest.approx(1 / 21)
 
 
 def test_permutations_need_a_condition_that_can_be_permuted(tmp_path: Path) -> None:
