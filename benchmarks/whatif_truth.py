@@ -188,7 +188,7 @@ class Truth:
         )
 
 
-def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:
+def trained_runs(name: str, seeds: list[int], cells: Path, settings: list[str]) -> list[Run]:
     """Train a clone for each seed by the command line, unless its folder is there already."""
     runs = []
     for seed in seeds:
@@ -204,6 +204,7 @@ def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:
                 cells.mkdir(parents=True, exist_ok=True)
                 recorded().save(what[0])
             command = [*ANIMARL, "train", *what, "--seed", str(seed), "--out", str(folder)]
+            command += [part for one in settings for part in ("--set", one)]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         runs.append(load_run(folder))
     return runs
@@ -473,6 +474,58 @@ def criteria(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
+def held_out_rules(table: pd.DataFrame) -> pd.DataFrame:
+    """Return what rules of a warning catch in a set that they were not made on.
+
+    Each rule gives every row a score. Its threshold is the highest that catches 90 % of the wrong
+    rows of all other sets. ``all of them`` is a logistic regression of the others' rows.
+    """
+    width = (table["high"] - table["low"]) / 2 + table["predicted"].abs() + 1e-12
+    disagree = ((table["other_reading"] - table["predicted"]).abs() / width).fillna(0).clip(0, 10)
+    scores = pd.DataFrame(
+        {
+            "inputs beyond training": table["beyond"],
+            "readings disagree": disagree.groupby(
+                [table[key] for key in ("set", "change", "reading")]
+            ).transform("max"),
+            "gap to the recordings": table["gap"].abs() / width,
+            "shift within its interval": -table["predicted"].abs() / width,
+            "seeds disagree": (table["seeds_high"] - table["seeds_low"]) / width,
+        }
+    )
+    wrong, sets, found = table["wrong"].to_numpy(dtype=bool), table["set"].to_numpy(), []
+    for rule in [*scores, "all of them"]:
+        said = np.zeros(len(table), dtype=bool)
+        for name in np.unique(sets):
+            own = sets == name
+            score = (
+                scores[rule if rule in scores else list(scores)].to_numpy().reshape(len(own), -1)
+            )
+            if rule not in scores:
+                score = _logistic(score, wrong, ~own)
+            said[own] = score[own, 0] >= np.quantile(score[~own & wrong, 0], 0.1, method="lower")
+        found.append(
+            {"rule": rule, "wrong rows": said[wrong].mean(), "right rows": said[~wrong].mean()}
+        )
+    return pd.DataFrame(found)
+
+
+def _logistic(
+    inputs: NDArray[np.float64], wrong: NDArray[np.bool_], own: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return logits ``(rows, 1)``, fitted on ``own`` rows, where both classes weigh alike."""
+    scaled = (inputs - inputs[own].mean(axis=0)) / (inputs[own].std(axis=0) + 1e-9)
+    design = np.column_stack([np.ones(len(scaled)), scaled])
+    share, weights = wrong[own].mean(), np.zeros(design.shape[1])
+    alike = np.where(wrong[own], 0.5 / share, 0.5 / (1 - share))
+    for _ in range(50):  # Newton's method, with a ridge of one
+        predicted = 1 / (1 + np.exp(-design[own] @ weights))
+        slope = design[own].T @ (alike * (predicted - wrong[own])) + weights
+        curve = (design[own] * (alike * predicted * (1 - predicted))[:, None]).T @ design[own]
+        weights = weights - np.linalg.solve(curve + np.eye(len(weights)), slope)
+    return np.asarray(design @ weights[:, None])
+
+
 def warned(table: pd.DataFrame) -> str:
     """Return in words how often wrong and right answers were warned of, by change."""
     changes = table.groupby(["set", "change", "reading"]).agg(
@@ -501,6 +554,10 @@ def main(
     permutations: Annotated[
         int | None, typer.Option(help="Of the conditions of larvae (default 20) or agents.")
     ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="KEY=VALUE of `animarl train`; give new --cells with it."),
+    ] = None,
     method: Annotated[
         str | None, typer.Option(help="module:factory of your own simulator, in packaged worlds.")
     ] = None,
@@ -512,7 +569,7 @@ def main(
     """Print what was predicted beside what is true."""
     console = Console(width=110)
     if only == [LARVAE] or (only == [RECORDED] and permutations):
-        runs = trained_runs(only[0], seed or [0, 1, 2], cells)
+        runs = trained_runs(only[0], seed or [0, 1, 2], cells, set_ or [])
         nulls = permuted(only[0], runs[0], cells, 20 if permutations is None else permutations)
         tables = {}
         if nulls:
@@ -539,7 +596,7 @@ def main(
         if method is not None:
             runs = [entered_run(name, method, one) for one in seeds]
         else:
-            runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
+            runs = [load_run(name)] if quick else trained_runs(name, seeds, cells, set_ or [])
         folder = agents / "weights" if name == RECORDED else None
         for one in answered(
             runs, tuple(change or changes[name]), 2 if quick else repetitions, folder, planning
@@ -560,6 +617,8 @@ def main(
     console.print(short.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
     console.print(held.to_string(index=False))
     console.print(warned(table))
+    if table["set"].nunique() > 1:
+        console.print(held_out_rules(table).to_string(index=False))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         table.to_csv(out / "whatif_truth.csv", index=False, float_format="%.4g")
@@ -607,6 +666,10 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
         f"| {row.beyond:.0%} | {row.readings} | {row[3]:.0%} | {row[4]:.0%} |"
         for row in criteria(table).itertuples()
     ]
+    lines += ["", *map(str.strip, str(held_out_rules.__doc__).strip().splitlines()), ""]
+    lines += ["| rule | of wrong rows of the set left out | of others |", "|---|---|---|"]
+    lines += [f"| {row.rule} | {row[2]:.0%} | {row[3]:.0%} |"
+              for row in held_out_rules(table).itertuples()]  # fmt: skip
     return "\n".join([*lines, ""])
 
 

@@ -14,6 +14,7 @@ from benchmarks.whatif_truth import (
     bars,
     entered_run,
     false_claims,
+    held_out_rules,
     rows,
     summary,
     warned,
@@ -42,6 +43,23 @@ def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is
     assert int(caught[0]) >= 4 and caught[1] == str(table["wrong"].sum())
     assert "1 of 3 changes are predicted wrongly" in warned(table)
     assert "1 of these have a red warning" in warned(table)
+
+
+def test_a_rule_of_a_warning_is_judged_on_the_set_that_it_was_not_made_on() -> None:
+    rng = np.random.default_rng(0)
+    wrong, sets = np.tile([True, False], 60), np.repeat(["a", "b", "c"], 40)
+    table = pd.DataFrame({"set": sets, "change": "arena=x2", "reading": "habit", "wrong": wrong})
+    table["beyond"] = np.where(wrong, 0.5, 0.0) + rng.uniform(0.0, 0.1, 120)
+    for column in ("predicted", "low", "high", "gap", "seeds_low", "seeds_high", "other_reading"):
+        table[column] = rng.normal(size=120)
+    found = held_out_rules(table).set_index("rule")
+    told = found.loc["inputs beyond training"]
+    assert told["wrong rows"] > 0.8 and told["right rows"] == 0
+    assert found.loc["all of them", "right rows"] < 0.1 < 0.8 < found.loc["all of them"].iloc[0]
+    assert found.loc["seeds disagree", "right rows"] > 0.6  # chance: as many of both
+    # A set whose wrong rows look otherwise is not warned of, however well the others are known.
+    table.loc[table["set"] == "c", "beyond"] = 0.0
+    assert held_out_rules(table).iloc[0]["wrong rows"] < 0.75
 
 
 def test_claims_of_permuted_conditions_are_counted_with_and_without_their_null() -> None:
