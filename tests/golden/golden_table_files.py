@@ -240,7 +240,11 @@ def of_headers() -> Iterator[Case]:
     options = {"heading": "angle", "angle_unit": "deg"}
     table = text(joined([*LONG, "angle"], heading))
     yield Case("heading", table, "long-table", options)
-    yield Case("heading of no unit", table, "long-table", {"heading": "angle"})
+    for word, told in {
+        "of no unit": {"heading": "angle"}, "in turns": {"heading": "angle", "angle_unit": "turns"},
+        "of no column": {"heading": "phi_rad"}, "not named": {"angle_unit": "deg"},
+    }.items():  # fmt: skip
+        yield Case(f"heading {word}", table, "long-table", told)
     yield Case("no individual", text("frame,who,x,y\n0,a,1,2\n"), "long-table")
     yield Case("an unknown option", table, "long-table", {"colour": 1})
     score = [[*row, "0.5"] for row in long_rows()]
@@ -405,6 +409,12 @@ def parquet(**changes: Any) -> Write:
     return write
 
 
+def categories(count: int) -> Any:
+    import pandas as pd
+
+    return pd.Categorical(np.tile(["b", "a"], count // 2))
+
+
 def of_parquet() -> Iterator[Case]:
     def numbers(kind: str) -> Callable[[int], Any]:
         return lambda count: np.arange(count).astype(kind)
@@ -412,6 +422,8 @@ def of_parquet() -> Iterator[Case]:
     yield Case("parquet", parquet())
     for kind in ("float32", "float16", "int16", "uint64", "bool"):
         yield Case(f"parquet, {kind}", parquet(x=numbers(kind)))
+    gaps = {"y": lambda count: [*range(count - 1), None]}
+    yield Case("parquet, gaps and categories", parquet(id=categories, **gaps))
     yield Case("parquet, whole names", parquet(id=lambda count: np.tile([7, 10], count // 2)))
     yield Case("parquet, a name missing", parquet(id=lambda count: ["a", None] * (count // 2)))
     yield Case("parquet, text", parquet(x=lambda count: ["1"] * count))

@@ -205,19 +205,3 @@ def test_a_table_s_column_of_headings_is_named_and_its_unit_read(tmp_path: Path)
     bare = write_table(tmp_path, "theta")
     (stated,) = read_tracks(bare, fps=20.0, heading="theta", angle_unit="deg")
     assert np.array_equal(stated.signals["heading"], tracks.signals["heading"], equal_nan=True)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"heading": "theta"}, "long.csv: column 'theta' has angles in no stated unit: give"),
-        ({"heading": "theta", "angle_unit": "turns"}, "angles in turns: give"),
-        ({"heading": "phi_rad"}, "long.csv: .*'phi_rad'"),
-        ({"angle_unit": "deg"}, "long.csv: angle_unit is 'deg' of no column"),
-    ],
-)
-def test_columns_that_make_no_heading_are_refused(
-    options: dict[str, str], says: str, tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match=says):
-        read_tracks(write_table(tmp_path, "theta"), fps=20.0, **options)

@@ -14,13 +14,11 @@ from tools.fuzz.layouts import (
     NODES,
     POSE,
     agents_arrays,
-    dlc_frame,
     write_agents,
     write_authors_agents,
     write_authors_fly,
     write_authors_newt,
     write_authors_silkmoth,
-    write_dlc_csv,
     write_fly_groups,
     write_minari,
     write_mothvr,
@@ -58,37 +56,6 @@ def test_reader_of_poses_returns_every_keypoint(kind: str, tmp_path: Path) -> No
     assert tracks.individuals == NAMES and tracks.keypoints == NODES
     np.testing.assert_allclose(tracks.positions, POSE, rtol=1e-6)
     assert tracks.y_down
-
-
-def test_reader_of_deeplabcut_keeps_likelihood_and_single_animals(tmp_path: Path) -> None:
-    (tracks,) = read_tracks(write_dlc_csv(tmp_path))
-    assert tracks.confidence is not None and (tracks.confidence == 0.9).all()
-    single = dlc_frame()["net"]["male"]
-    lines = [
-        "scorer," + ",".join(["net"] * 6),
-        "bodyparts," + ",".join(part for part, _ in single.columns),
-        "coords," + ",".join(coordinate for _, coordinate in single.columns),
-        *(f"{t}," + ",".join(map(repr, row)) for t, row in enumerate(single.to_numpy().tolist())),
-    ]
-    (tmp_path / "single.csv").write_text("\n".join(lines) + "\n")
-    (alone,) = read_tracks(tmp_path / "single.csv")
-    np.testing.assert_allclose(alone.positions[:, 0], POSE[:, 0])
-
-
-def test_movement_loads_what_this_project_has_no_reader_for(tmp_path: Path) -> None:
-    """LightningPose, by the option software; the frame rate goes with it."""
-    frame = dlc_frame()["net"][["male"]].droplevel("individuals", axis=1)
-    lines = [
-        "scorer," + ",".join(["net"] * 6),
-        "bodyparts," + ",".join(part for part, _ in frame.columns),
-        "coords," + ",".join(coordinate for _, coordinate in frame.columns),
-        *(f"{t}," + ",".join(map(repr, row)) for t, row in enumerate(frame.to_numpy().tolist())),
-    ]
-    (tmp_path / "pose.csv").write_text("\n".join(lines) + "\n")
-    (tracks,) = read_tracks(tmp_path / "pose.csv", "movement", software="LightningPose", fps=25.0)
-    np.testing.assert_allclose(tracks.positions[:, 0], POSE[:, 0])
-    assert tracks.frame_rate == 25.0 and tracks.keypoints == NODES
-    assert tracks.confidence is not None and (tracks.confidence == 0.9).all()
 
 
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
@@ -240,53 +207,6 @@ def test_wide_tables_are_mapped_by_options(tmp_path: Path) -> None:
     (tmp_path / "lone.csv").write_text("x,y\n1,2\n3,4\n")
     (lone,) = read_tracks(tmp_path / "lone.csv")
     assert lone.individuals == ("individual_0",) and lone.bodies[1, 0].tolist() == [3.0, 4.0]
-
-
-def test_parquet_columns_of_every_kind_give_the_same_numbers(tmp_path: Path) -> None:
-    """Categories and whole numbers as names, 32-bit numbers, empty cells, small row groups."""
-    import pandas as pd
-
-    count = len(BODIES)
-    table = pd.DataFrame(
-        {
-            "frame": np.repeat(np.arange(count, dtype=np.int16), 2),
-            "id": np.tile([7, 10], count),
-            "x": BODIES[..., 0].ravel().astype(np.float32),
-            "y": BODIES[..., 1].ravel(),
-        }
-    )
-    table.loc[5, "y"] = np.nan
-    expected = BODIES.copy()
-    expected[..., 0] = expected[..., 0].astype(np.float32)
-    expected[2, 1, 1] = np.nan
-    for kind in ("int64", "str", "category"):
-        table["id"] = table["id"].astype(kind)
-        table.to_parquet(tmp_path / "t.parquet", row_group_size=11)
-        (tracks,) = read_tracks(tmp_path / "t.parquet")
-        assert tracks.individuals == ("7", "10")
-        np.testing.assert_array_equal(tracks.bodies, expected)
-
-
-@pytest.mark.parametrize("packed", [False, True])
-def test_matlab_reader_takes_numbers_and_passes_others_over(packed: bool, tmp_path: Path) -> None:
-    from scipy.io import savemat
-
-    numbers = {
-        "paths": BODIES, "pixels": np.arange(300, dtype=np.uint8).reshape(3, 50, 2), "one": 3.5,
-        "short": np.array([[-1, 2**15 - 1]], dtype=np.int16), "single": np.float32([[0.1, 0.2]]),
-        "seen": np.array([[True, False]]), "none": np.zeros((0, 3)),
-    }  # fmt: skip
-    others = {
-        "text": "abc", "complex": np.array([1 + 2j]), "structure": {"x": 1.0},
-        "cell": np.array([1, "x"], dtype=object),
-    }  # fmt: skip
-    savemat(tmp_path / "all.mat", numbers | others, do_compression=packed)
-    for name in ("paths", "pixels"):
-        (tracks,) = read_tracks(tmp_path / "all.mat", key=name)
-        wanted = numbers[name] if name == "paths" else numbers[name].astype(float)
-        np.testing.assert_array_equal(tracks.bodies, wanted)
-    with pytest.raises(InputError, match=r"all\.mat: it holds .*name the one with the positions"):
-        read_tracks(tmp_path / "all.mat")
 
 
 def test_sleap_project_of_two_videos_gives_two_recordings(tmp_path: Path) -> None:
