@@ -13,15 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from animarl_algos.checked import SEED
-from animarl_algos.cli.shared import (
-    SOURCE,
-    PlainConsole,
-    helps,
-    load,
-    named_split,
-    refuse_overwriting,
-    write_csv,
-)
+from animarl_algos.cli import shared
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
@@ -69,7 +61,7 @@ STATE_COLUMNS: Columns = {
 """Of the table of ``--states``, likewise."""
 
 
-@helps(
+@shared.helps(
     file="Demonstrations, a file that a reader knows, or a packaged set.",
     source="Reader; by default found by content.",
     species="Use the onset threshold of this species.",
@@ -110,8 +102,8 @@ def fit_command(
     if out is not None and out.suffix not in {".csv", ".json"}:
         raise InputError(f"{out}: the suffix says how to save: use .csv or .json")
     if out is not None:
-        refuse_overwriting(out, file)
-    seed, chosen = SEED.check("seed", seed), named_split(split)
+        shared.refuse_overwriting(out, file)
+    seed, chosen = SEED.check("seed", seed), shared.named_split(split)
     numbers = parse_numbers("--thrusts", thrusts, MOST_THRUSTS)
     several = parse_numbers("--states", states, MOST_STATES)
     for option in ["--thrusts"] * bool(numbers) + ["--states"] * bool(several):
@@ -121,9 +113,9 @@ def fit_command(
         raise InputError(
             "--states fits train, compares on val and saves a .csv: leave --split out, give a .csv"
         )
-    demos = load(file, source, takes=(SOURCE,))
+    demos = shared.load(file, source, takes=(shared.SOURCE,))
     threshold = None if species is None else get_species(species).recording.onset_threshold
-    console = PlainConsole(TABLE_WIDTH)
+    console = shared.PlainConsole(TABLE_WIDTH)
     if several:
         fits: list[LocomotionFit] = []
         rows = _compare_states(demos, several, numbers or (1, 3), console)
@@ -156,7 +148,7 @@ def fit_command(
     if out is None:
         return
     if out.suffix == ".csv":
-        write_csv(out, rows)
+        shared.write_csv(out, rows)
     elif len(fits) == 1:
         fits[0].save(out)
     else:
@@ -286,7 +278,7 @@ def _compare_thrusts(
     numbers: tuple[int, ...],
     split: str | None,
     seed: int,
-    console: PlainConsole,
+    console: shared.PlainConsole,
 ) -> tuple[list[LocomotionFit], list[dict[str, object]]]:
     """Fit each number of thrust magnitudes and print how closely it follows the episodes.
 
@@ -327,7 +319,10 @@ def _compare_thrusts(
 
 
 def _compare_states(
-    demos: Demonstrations, states: tuple[int, ...], thrusts: tuple[int, ...], console: PlainConsole
+    demos: Demonstrations,
+    states: tuple[int, ...],
+    thrusts: tuple[int, ...],
+    console: shared.PlainConsole,
 ) -> list[dict[str, object]]:
     """Fit states of locomotion and print how well each number explains what no fit has seen."""
     rows: list[dict[str, Any]] = []

@@ -14,16 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_origin
 import typer
 from rich.text import Text
 
-from animarl_algos.cli.shared import (
-    CONTEXT,
-    SOURCE,
-    PlainConsole,
-    asks_for,
-    helps,
-    option,
-    parse_settings,
-    suggest_import_on_error,
-)
+from animarl_algos.cli import shared
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
@@ -36,28 +27,28 @@ WIDTH = 128
 SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts", "acting")
 """Options that are None where they are not given."""
 OTHERS = {
-    "context": CONTEXT,
-    "env": option("env", str | None, None, typer.Option(
+    "context": shared.CONTEXT,
+    "env": shared.option("env", str | None, None, typer.Option(
         help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
     )),
-    "folds": option("folds", int | None, None, typer.Option(
+    "folds": shared.option("folds", int | None, None, typer.Option(
         min=0,
         help="Cross-validate in so many folds, 0: never; by default in 5 where the test split has "
         "fewer than 10 recordings, and all splits together have 10 or more.",
     )),
-    "neighbours": option("neighbours", int | None, None, typer.Option(
+    "neighbours": shared.option("neighbours", int | None, None, typer.Option(
         help="Of a group without a target: how many of the others each one sees, the nearest.",
     )),
-    "out": option("out", Path, Path("runs/run"), typer.Option(
+    "out": shared.option("out", Path, Path("runs/run"), typer.Option(
         help="Run folder; an unfinished run in it is continued.",
     )),
-    "policy": option("policy", str | None, None, typer.Option(
+    "policy": shared.option("policy", str | None, None, typer.Option(
         help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
     )),
-    "resume": option("resume", Path | None, None, typer.Option(
+    "resume": shared.option("resume", Path | None, None, typer.Option(
         help="Continue this run folder, up to --steps.",
     )),
-    "settings": option("settings", list[str] | None, None, typer.Option(
+    "settings": shared.option("settings", list[str] | None, None, typer.Option(
         "--set",
         help="A setting of the learner, KEY=VALUE, such as learning_rate=0.001; may be repeated. "
         "Names: docs/learners.md.",
@@ -80,11 +71,11 @@ def _options(names: str) -> list[inspect.Parameter]:
             kind, default = kind | None, None
         info = typer.Argument if name == "file" else typer.Option
         prose = " ".join(str(field.description).split())
-        found.append(option(name, kind, default, info(help=prose)))
+        found.append(shared.option(name, kind, default, info(help=prose)))
     return found
 
 
-@asks_for(_options(
+@shared.asks_for(_options(
     "file env species algo preset steps seed out source copies focal neighbours policy device "
     "config fit_method thrusts acting repetitions folds baselines settings"
 ))  # fmt: skip
@@ -112,7 +103,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.runs.folds import number_of_folds
     from animarl_envs.fitting.result import doubts
 
-    console = PlainConsole(WIDTH)
+    console = shared.PlainConsole(WIDTH)
 
     def begin(number: str, what: str) -> None:
         console.print(Text.assemble("\n", (number, "bold"), f" {what}"))
@@ -148,7 +139,7 @@ def run_command(**given: Any) -> None:
     console.print(f"\nOpen {page}")
 
 
-@asks_for(_options(
+@shared.asks_for(_options(
     "context file env species algo preset steps seed out resume source copies focal neighbours "
     "policy device config fit_method thrusts acting settings"
 ))  # fmt: skip
@@ -175,10 +166,10 @@ def train_command(context: typer.Context, **given: Any) -> None:
     else:
         run = _open(given)
     pipeline.learn(run, run.settings.algo)
-    PlainConsole(WIDTH).print(f"Trained: {run.path}")
+    shared.PlainConsole(WIDTH).print(f"Trained: {run.path}")
 
 
-@helps(run="A run folder that was evaluated.")
+@shared.helps(run="A run folder that was evaluated.")
 def report_command(run: Path) -> None:
     """Write the report of a run again.
 
@@ -189,7 +180,7 @@ def report_command(run: Path) -> None:
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run import Run
 
-    PlainConsole(WIDTH).print(f"Open {pipeline.report(Run(run))}")
+    shared.PlainConsole(WIDTH).print(f"Open {pipeline.report(Run(run))}")
 
 
 def _open(given: dict[str, Any]) -> Run:
@@ -198,13 +189,13 @@ def _open(given: dict[str, Any]) -> Run:
     from animarl_algos.runs.folds import number_of_folds
 
     species = asked_species(given["env"], given["species"])
-    with suggest_import_on_error(given["file"], takes=(SOURCE,)):
+    with shared.suggest_import_on_error(given["file"], takes=(shared.SOURCE,)):
         demos = pipeline.load_demonstrations(given["file"], given["source"], species)
     if given.get("folds"):
         number_of_folds(demos, given["folds"])
     if species is None:
         species = demos.species if demos.species in SPECIES else CUSTOM
-    overrides = parse_settings(given["settings"])
+    overrides = shared.parse_settings(given["settings"])
     if given["neighbours"] is not None:
         worlds = overrides.setdefault("env_kwargs", {})
         overrides["env_kwargs"] = {**worlds, "neighbours": given["neighbours"]}

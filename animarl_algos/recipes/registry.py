@@ -14,16 +14,7 @@ import sb3_contrib
 import stable_baselines3
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.losses.terms import (
-    ActionSupervision,
-    InverseSoftQ,
-    Recipe,
-    ScoredActionsTemporalDifference,
-    Selection,
-    TemporalDifference,
-    TreatmentAdversary,
-    WeightDecay,
-)
+from animarl_algos.losses import terms
 from animarl_envs.errors import InputError
 
 __all__ = [
@@ -38,7 +29,9 @@ class DQN(SequenceQLearning, stable_baselines3.DQN):  # type: ignore[misc]
     Recurrent dueling double Q-learning on the task reward alone, without demonstrations.
     """
 
-    recipe: ClassVar[Recipe] = Recipe(name="dqn", online=(TemporalDifference(), WeightDecay()))
+    recipe: ClassVar[terms.Recipe] = terms.Recipe(
+        name="dqn", online=(terms.TemporalDifference(), terms.WeightDecay())
+    )
     quantiles: ClassVar[bool] = False
     preset: ClassVar[str] = "dqn"
 
@@ -49,7 +42,7 @@ class QRDQN(SequenceQLearning, sb3_contrib.QRDQN):  # type: ignore[misc]
     The number of quantiles is ``policy_kwargs={"n_quantiles": ...}``.
     """
 
-    recipe: ClassVar[Recipe] = DQN.recipe
+    recipe: ClassVar[terms.Recipe] = DQN.recipe
     quantiles: ClassVar[bool] = True
     preset: ClassVar[str] = "qr-dqn"
 
@@ -60,10 +53,10 @@ class BC(DQN):
     Offline only: ``learn`` runs the offline epochs and returns.
     """
 
-    recipe: ClassVar[Recipe] = Recipe(
+    recipe: ClassVar[terms.Recipe] = terms.Recipe(
         name="bc",
-        offline=(ActionSupervision(weighted=False), WeightDecay()),
-        selection=Selection.CROSS_ENTROPY,
+        offline=(terms.ActionSupervision(weighted=False), terms.WeightDecay()),
+        selection=terms.Selection.CROSS_ENTROPY,
     )
     preset: ClassVar[str] = "bc"
 
@@ -74,10 +67,10 @@ class SoftBC(DQN):
     Offline only; ``offline_kwargs`` shrink the weights.
     """
 
-    recipe: ClassVar[Recipe] = Recipe(
+    recipe: ClassVar[terms.Recipe] = terms.Recipe(
         name="soft-bc",
-        offline=(ActionSupervision(weighted=False, soft=True),),
-        selection=Selection.LABEL_CROSS_ENTROPY,
+        offline=(terms.ActionSupervision(weighted=False, soft=True),),
+        selection=terms.Selection.LABEL_CROSS_ENTROPY,
     )
     preset: ClassVar[str] = "soft-bc"
 
@@ -91,11 +84,11 @@ class IQLearn(DQN):
     all but the quantiles' mean would be left to chance.
     """
 
-    recipe: ClassVar[Recipe] = Recipe(
+    recipe: ClassVar[terms.Recipe] = terms.Recipe(
         name="iq-learn",
-        online=(InverseSoftQ(),),
-        offline=(ActionSupervision(weighted=False, soft=True),),
-        selection=Selection.LABEL_CROSS_ENTROPY,
+        online=(terms.InverseSoftQ(),),
+        offline=(terms.ActionSupervision(weighted=False, soft=True),),
+        selection=terms.Selection.LABEL_CROSS_ENTROPY,
         inverse=True,
     )
     preset: ClassVar[str] = "iq-learn"
@@ -107,11 +100,11 @@ class DQAAS(DQN):
     ``J = J_DQ + lambda3 J_AS + lambda1 J_l2``, the label aligned by dynamic time warping.
     """
 
-    recipe: ClassVar[Recipe] = Recipe(
+    recipe: ClassVar[terms.Recipe] = terms.Recipe(
         name="dqaas",
-        online=(TemporalDifference(), ActionSupervision(), WeightDecay()),
-        offline=(TemporalDifference(), ActionSupervision(), WeightDecay()),
-        selection=Selection.CROSS_ENTROPY,
+        online=(terms.TemporalDifference(), terms.ActionSupervision(), terms.WeightDecay()),
+        offline=(terms.TemporalDifference(), terms.ActionSupervision(), terms.WeightDecay()),
+        selection=terms.Selection.CROSS_ENTROPY,
         needs_alignment=True,
     )
     preset: ClassVar[str] = "dqaas"
@@ -124,10 +117,10 @@ class DQDIL(DQN):
     dynamics scores all actions.
     """
 
-    recipe: ClassVar[Recipe] = Recipe(
+    recipe: ClassVar[terms.Recipe] = terms.Recipe(
         name="dqdil",
-        online=(TemporalDifference(shaped=True), WeightDecay()),
-        offline=(ScoredActionsTemporalDifference(), WeightDecay()),
+        online=(terms.TemporalDifference(shaped=True), terms.WeightDecay()),
+        offline=(terms.ScoredActionsTemporalDifference(), terms.WeightDecay()),
         needs_distance=True,
     )
     preset: ClassVar[str] = "dqdil"
@@ -140,11 +133,11 @@ class DQCIL(DQN):
     DQDIL plus ``lambda2 J_tr``, the treatment predicted through gradient reversal.
     """
 
-    recipe: ClassVar[Recipe] = replace(
+    recipe: ClassVar[terms.Recipe] = replace(
         DQDIL.recipe,
         name="dqcil",
-        online=(*DQDIL.recipe.online, TreatmentAdversary()),
-        offline=(*DQDIL.recipe.offline, TreatmentAdversary()),
+        online=(*DQDIL.recipe.online, terms.TreatmentAdversary()),
+        offline=(*DQDIL.recipe.offline, terms.TreatmentAdversary()),
         needs_condition=True,
     )
     preset: ClassVar[str] = "dqcil"

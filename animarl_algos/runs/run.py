@@ -27,12 +27,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 
 from animarl_algos.data.vec_env import FocalPolicy, SlotVecEnv, focal_drivers
-from animarl_algos.evaluation.acting_choice import (
-    candidate_rules,
-    choice_episodes,
-    choose_acting,
-    further_rules,
-)
+from animarl_algos.evaluation import acting_choice
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
@@ -40,22 +35,8 @@ from animarl_algos.learner.checkpoint import latest_checkpoint, serialise_tensor
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.run_files import (
-    logged_curves,
-    machine,
-    read_weights,
-    versions,
-    weights_file,
-    write_json,
-)
+from animarl_algos.runs import run_files, run_world
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, CHOSEN, RunSettings, checked_species
-from animarl_algos.runs.run_world import (
-    changed_inputs,
-    select_individuals,
-    species_options,
-    training_options,
-    world_options,
-)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
@@ -99,8 +80,10 @@ class Run:
         Raises InputError if the folder holds another run.
         """
         own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
-        moving = select_individuals(demos, own.env_kwargs)
-        species = with_options(checked_species(settings, moving), **species_options(own.env_kwargs))
+        moving = run_world.select_individuals(demos, own.env_kwargs)
+        species = with_options(
+            checked_species(settings, moving), **run_world.species_options(own.env_kwargs)
+        )
         # Options by which worlds differ are said in full, whatever their defaults become.
         world = {"observation": species.observation, "rebound": species.arena.rebound}
         resolved = _as_json(
@@ -114,7 +97,11 @@ class Run:
         )
         if not (self.path / "settings.json").exists():
             demos.save(self.path / DEMONSTRATIONS)
-            made = {"versions": versions(), "machine": machine(), "command": command}
+            made = {
+                "versions": run_files.versions(),
+                "machine": run_files.machine(),
+                "command": command,
+            }
             self._write_record(resolved | made)
             return
         for key, here in resolved.items():
@@ -131,7 +118,7 @@ class Run:
     def _write_record(self, record: Mapping[str, Any]) -> None:
         self.record = _as_json(record)
         self.__dict__.pop("settings", None)
-        write_json(self.path / "settings.json", self.record)
+        run_files.write_json(self.path / "settings.json", self.record)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -211,7 +198,7 @@ class Run:
         yield
         times = self.wall_times()
         times[stage] = times.get(stage, 0.0) + time.monotonic() - begun
-        write_json(self.path / "wall_time.json", times)
+        run_files.write_json(self.path / "wall_time.json", times)
 
     def wall_times(self) -> dict[str, float]:
         """Return seconds by stage; none of a run that never came so far."""
@@ -233,7 +220,7 @@ class Run:
                     f"{self.path}: it was trained on packaged demonstrations of another version: "
                     "train it anew"
                 )
-        return select_individuals(demos, self.environment_options)
+        return run_world.select_individuals(demos, self.environment_options)
 
     def shown_with(self, given: Demonstrations | None) -> Demonstrations:
         """Return the demonstrations that the run is shown with: those ``given``, or else its own.
@@ -249,10 +236,10 @@ class Run:
                     f"{self.path}: the demonstrations that it learned from ({file}) are not in it"
                     f"{other}: give their file by --demos, or export it again --with-demonstrations"
                 )
-            self.demos = select_individuals(given, self.environment_options)
+            self.demos = run_world.select_individuals(given, self.environment_options)
         if given is None:
             return self.demos
-        given = select_individuals(given, self.environment_options)
+        given = run_world.select_individuals(given, self.environment_options)
         shown, learned = (
             ", ".join(f"{name} ({role})" for name, role in zip(d.individuals, d.roles))
             for d in (given, self.demos)
@@ -283,13 +270,13 @@ class Run:
     @property
     def world_options(self) -> dict[str, Any]:
         """Options that every world of the run has, beside those of its species."""
-        return world_options(self.environment_options)
+        return run_world.world_options(self.environment_options)
 
     @cached_property
     def species(self) -> Species:
         """The recordings' animals and arena, the fitted locomotion, and over these its options."""
         fitted = species_of(self.demos, self.fit.locomotion, base=self.settings.species)
-        return with_options(fitted, **species_options(self.environment_options))
+        return with_options(fitted, **run_world.species_options(self.environment_options))
 
     @cached_property
     def scenario(self) -> Scenario:
@@ -327,7 +314,7 @@ class Run:
             demos=self.demos if demos is None else demos,
             focal=self.settings.focal,
             condition_flag=None,
-            **training_options(self.environment_options),
+            **run_world.training_options(self.environment_options),
         )
 
     # -- its policies -----------------------------------------------------------------------------
@@ -364,7 +351,7 @@ class Run:
         return self.learner(self.settings.algo, self.environment())
 
     def has_policy(self, name: str) -> bool:
-        return weights_file(self.path / "policies", name).exists()
+        return run_files.weights_file(self.path / "policies", name).exists()
 
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
         """Write the final weights, tensors only."""
@@ -372,9 +359,9 @@ class Run:
             part.write_bytes(serialise_tensors(model.policy.q_net.state_dict()))
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
-        file = weights_file(self.path / "policies", name)
+        file = run_files.weights_file(self.path / "policies", name)
         try:
-            weights = read_weights(file)
+            weights = run_files.read_weights(file)
             model.policy.q_net.load_state_dict(weights)
             model.policy.q_net_target.load_state_dict(weights)
         except (RuntimeError, ValueError, TypeError, LookupError) as error:
@@ -385,7 +372,7 @@ class Run:
 
     def learning_curves(self) -> pd.DataFrame:
         """Return all logged quantities: ``method, phase, seed, step, quantity, value``."""
-        return logged_curves(self.path / "logs", self.settings.seed)
+        return run_files.logged_curves(self.path / "logs", self.settings.seed)
 
     # -- how they act -----------------------------------------------------------------------------
 
@@ -423,7 +410,7 @@ class Run:
 
     def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:
         seed = self.settings.seed
-        demos = choice_episodes(self.learnable_demos, seed)
+        demos = acting_choice.choice_episodes(self.learnable_demos, seed)
 
         def acting_by(rule: Acting, own_seed: int) -> Policy:
             model.policy.acting = rule
@@ -431,16 +418,16 @@ class Run:
             return self.for_all(model)
 
         fitted = model.fit_temperature(model.demonstration_data().val)
-        choice = choose_acting(
+        choice = acting_choice.choose_acting(
             acting_by,
             partial(make_world, self.starting_from(None, demos=demos)),
             demos,
-            candidate_rules(fitted),
-            further_rules(fitted),
+            acting_choice.candidate_rules(fitted),
+            acting_choice.further_rules(fitted),
             seed=seed,
             cue="actual" if model.layout.condition_flag else None,
         )
-        write_json(self.acting_file(algo), choice.to_json())
+        run_files.write_json(self.acting_file(algo), choice.to_json())
 
     def for_all(self, policy: Policy) -> Policy:
         """Return a policy that is asked for all individuals, also where one alone learned."""
@@ -539,7 +526,7 @@ class Run:
             Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
             as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
         """
-        if changed := changed_inputs(self.species, options):
+        if changed := run_world.changed_inputs(self.species, options):
             raise InputError(
                 f"{changed} changes what the policy is shown, who has not learned from that: "
                 "train a run with it"

@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos import summary
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED
-from animarl_envs.demos.summary import (
-    TRACKING,
-    Unit,
-    episode_table,
-    outcome_name,
-    summarise,
-    unit_of,
-)
 from animarl_envs.drawing import palette
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
@@ -42,7 +35,7 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError("the summary figure", "algos") from error
-    path, unit = Path(path), unit_of(demos)
+    path, unit = Path(path), summary.unit_of(demos)
     with rc_context({"text.parse_math": False}):  # a name with dollar signs is a name
         figure = Figure(figsize=(13, 9.5), layout="constrained")
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.25))
@@ -66,7 +59,7 @@ def _colours(demos: Demonstrations) -> list[str]:
     return [palette.to_hex(palette.colour_of(role, i)) for i, role in enumerate(demos.roles)]
 
 
-def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
+def _draw_episodes(figure: Any, demos: Demonstrations, unit: summary.Unit) -> None:
     shown = np.unique(np.linspace(0, demos.num_episodes - 1, ROWS * COLUMNS).round().astype(int))
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True).ravel()
     size, angle = unit.per_arena_unit * demos.arena.size, np.linspace(0, 2 * math.pi, 100)
@@ -90,7 +83,7 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
                 gap = np.where(one.signals[FILLED][:, i, None], positions[:, i], np.nan)
                 axes.plot(*gap.T, ".", color="black", ms=3)
         axes.set_aspect("equal")
-        ending = outcome_name(one.outcome, demos)
+        ending = summary.outcome_name(one.outcome, demos)
         axes.set_title(f"episode {index}, {one.duration:.1f} s\n{ending}", fontsize="x-small")
         axes.tick_params(labelsize="x-small")
     for axes in panels[len(shown) :]:
@@ -100,9 +93,9 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
     figure.supylabel(unit.name, fontsize="small")
 
 
-def _draw_distributions(panels: Any, demos: Demonstrations, unit: Unit) -> None:
+def _draw_distributions(panels: Any, demos: Demonstrations, unit: summary.Unit) -> None:
     durations, lengths, speeds, distances, bars, gaps = panels
-    rows, tints = episode_table(demos), _colours(demos)
+    rows, tints = summary.episode_table(demos), _colours(demos)
     _histogram(durations, [[row["duration"] for row in rows]], [GREY])
     durations.set(title="Duration", xlabel="s", ylabel="episodes")
     paths = [
@@ -120,8 +113,10 @@ def _draw_distributions(panels: Any, demos: Demonstrations, unit: Unit) -> None:
     _draw_distances(distances, demos, unit)
     names, counts = np.unique([row["outcome"] for row in rows], return_counts=True)
     _bars(bars, dict(zip(names.tolist(), counts.tolist(), strict=True)), "Outcomes", "episodes")
-    found = summarise(demos)
-    tracking = {key: found[f"frames: {key}"] for key in TRACKING if f"frames: {key}" in found}
+    found = summary.summarise(demos)
+    tracking = {
+        key: found[f"frames: {key}"] for key in summary.TRACKING if f"frames: {key}" in found
+    }
     _bars(gaps, tracking, "Gaps and flags of the tracks", "frames")
     if not tracking:
         why = "simulated: nothing was tracked" if demos.synthetic else "not recorded in this file"
@@ -141,7 +136,7 @@ def _histogram(axes: Any, values: Sequence[Sequence[float]], tints: Sequence[str
     axes.yaxis.get_major_locator().set_params(integer=True)
 
 
-def _draw_distances(axes: Any, demos: Demonstrations, unit: Unit) -> None:
+def _draw_distances(axes: Any, demos: Demonstrations, unit: summary.Unit) -> None:
     searching = "searcher" in demos.roles
     axes.set(title="Distance to the source" if searching else "Distance of the nearest pursuer")
     distance = distances_to_target(demos.positions, demos.roles).min(axis=1)

@@ -21,18 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs import locomotion
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import fast_speed, fit_joint
 from animarl_envs.fitting.transitions import transitions
-from animarl_envs.locomotion import (
-    ACTION_VECTORS,
-    NUM_DIRECTIONS,
-    Locomotion,
-    fixed_multiples,
-    residual,
-)
 
 Floats = NDArray[np.float64]
 
@@ -197,7 +191,7 @@ def _steps(demos: Demonstrations, individual: int) -> Steps:
 
 
 def _starts(
-    seen: Steps, one: Locomotion, states: int, thrusts: int, dt: float
+    seen: Steps, one: locomotion.Locomotion, states: int, thrusts: int, dt: float
 ) -> list[tuple[Floats, StateFit]]:
     """Where the search begins: steps dealt to states by speed, and by acceleration, over a second.
 
@@ -205,10 +199,10 @@ def _starts(
     """
     change = seen.after - seen.before
     spread = math.sqrt(float((change**2).mean())) or 1e-9
-    actions = NUM_DIRECTIONS * thrusts + 1
+    actions = locomotion.NUM_DIRECTIONS * thrusts + 1
     model = StateFit(
         damping=np.full(states, one.damping),
-        thrusts=np.tile(one.thrust * np.array(fixed_multiples(thrusts)), (states, 1)),
+        thrusts=np.tile(one.thrust * np.array(locomotion.fixed_multiples(thrusts)), (states, 1)),
         noise=np.full(states, 0.3 * spread),
         pushes=np.full(actions, 1.0 / actions),
         stay=np.full((states, states), 0.1 / max(states - 1, 1)),
@@ -248,7 +242,7 @@ def _maximise(seen: Steps, weight: Floats, model: StateFit) -> tuple[StateFit, f
 
 def _misses(seen: Steps, damping: float, vectors: Floats) -> Floats:
     """Squared distance of each step's push to each of ``vectors``, ``(steps, 12 M + 1)``."""
-    rest = residual(seen.after, seen.before, damping)
+    rest = locomotion.residual(seen.after, seen.before, damping)
     square = (rest**2).sum(axis=1)[:, None] - 2 * rest @ vectors.T + (vectors**2).sum(axis=1)
     return np.asarray(square)
 
@@ -301,7 +295,7 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
         gram[0, 0] = (total * (seen.before**2).sum(axis=1)).sum()
         right[0] = (total * (seen.before * seen.after).sum(axis=1)).sum()
         for j in range(magnitudes):
-            own = slice(NUM_DIRECTIONS * j, NUM_DIRECTIONS * (j + 1))
+            own = slice(locomotion.NUM_DIRECTIONS * j, locomotion.NUM_DIRECTIONS * (j + 1))
             gram[0, 1 + j] = gram[1 + j, 0] = onto_before[own].sum()
             gram[1 + j, 1 + j] = model.dt**2 * each[:, own].sum()
             right[1 + j] = onto_after[own].sum()
@@ -322,7 +316,7 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
 
 def _vectors(thrusts: Floats) -> Floats:
     """Accelerations of the actions in the egocentric frame, ``(12 M + 1, 2)``."""
-    pushes = [thrust * ACTION_VECTORS[:NUM_DIRECTIONS] for thrust in thrusts]
+    pushes = [thrust * locomotion.ACTION_VECTORS[: locomotion.NUM_DIRECTIONS] for thrust in thrusts]
     return np.concatenate([*pushes, np.zeros((1, 2))])
 
 

@@ -23,15 +23,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs import files
 from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.errors import InputError, MissingExtraError, require
-from animarl_envs.files import (
-    allowed_bytes,
-    npz_members,
-    refuse_special,
-    refuse_unfinished,
-    unfinished,
-)
 from animarl_envs.importing.table_layout import (
     BLANK,
     UTF_8,
@@ -206,7 +200,7 @@ class Table(Layout):
             block = b"".join(parts)
             line += self._check_block(np.frombuffer(block, dtype=np.uint8), line, quotes > 0)
             if not block.endswith(b"\n"):
-                raise unfinished(self.path)
+                raise files.unfinished(self.path)
             yield block
             seen += len(block)
             if progress is not None:
@@ -349,7 +343,7 @@ def open_table(
     Raises InputError if the file is no table, or it is not clear which sheet of a workbook is
     meant.
     """
-    refuse_special(path)
+    files.refuse_special(path)
     status = path.stat()
     table = _open_table(path, status.st_mtime_ns, status.st_size, encoding, sheet)
     if decimal is None:
@@ -385,7 +379,7 @@ def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, s
     Of each line that is not blank its number, and its cells by column. Raises InputError if it
     cannot be read, lacks a needed column, or has a line of another length.
     """
-    refuse_unfinished(path)
+    files.refuse_unfinished(path)
     try:
         with path.open(newline="", encoding=encoding_of(path)) as file:
             header = file.readline()
@@ -458,7 +452,7 @@ def _decoded(path: Path, encoding: str) -> bytes:
 
 def _unpacked(path: Path) -> bytes:
     """What a gzip file holds, refused where it is more than such a file may ask for."""
-    most = allowed_bytes(path.stat().st_size)
+    most = files.allowed_bytes(path.stat().st_size)
     try:
         with gzip.open(path) as file:
             content = file.read(most + 1)
@@ -469,7 +463,7 @@ def _unpacked(path: Path) -> bytes:
 
 
 def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:
-    refuse_special(path)
+    files.refuse_special(path)
     try:
         import pyarrow
         import pyarrow.parquet as parquet
@@ -486,7 +480,7 @@ def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:
 
 def is_workbook(path: Path) -> bool:
     """Whether the file is an ``.xlsx``, whatever its name."""
-    return "xl/workbook.xml" in npz_members(path)
+    return "xl/workbook.xml" in files.npz_members(path)
 
 
 def sheet_names(path: Path) -> list[str]:
@@ -511,7 +505,7 @@ def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
 
 def _sheets(path: Path) -> dict[str, Any]:
     """All sheets of a workbook, as they are."""
-    refuse_special(path)
+    files.refuse_special(path)
     try:
         import openpyxl  # noqa: F401
     except ImportError as error:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
+from animarl_envs.importing import tables
 from animarl_envs.importing.readers.columns import (
     LARGEST_FRAME,
     Columns,
@@ -34,16 +35,6 @@ from animarl_envs.importing.readers.columns import (
     suggested_command,
 )
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.tables import (
-    EXTENSIONS,
-    MOST_COLUMNS,
-    PACKED,
-    Progress,
-    Table,
-    Words,
-    open_table,
-    table_or_none,
-)
 from animarl_envs.importing.tracks import LONE, Tracks
 
 CONFIDENCE = "confidence"
@@ -52,13 +43,13 @@ Whole = NDArray[np.int64]
 
 
 def _is_long(path: Path) -> bool:
-    table = table_or_none(path)
+    table = tables.table_or_none(path)
     return table is not None and find_columns(table).is_long
 
 
 def _is_wide(path: Path) -> bool:
-    table = table_or_none(path)
-    if table is None or len(table.names) > MOST_COLUMNS:
+    table = tables.table_or_none(path)
+    if table is None or len(table.names) > tables.MOST_COLUMNS:
         return table is not None
     return len(wide_columns(table, find_columns(table))) > 0
 
@@ -67,7 +58,7 @@ def _is_wide(path: Path) -> bool:
     "long-table",
     "a row per frame and individual (CSV, TSV, text, Excel, Parquet); columns by habit or option",
     sniff=_is_long,
-    extensions=EXTENSIONS,
+    extensions=tables.EXTENSIONS,
     generic=True,
 )
 def read_long_table(
@@ -88,7 +79,7 @@ def read_long_table(
     sheet: str | None = None,
     heading: str | None = None,
     angle_unit: str | None = None,
-    progress: Progress = None,
+    progress: tables.Progress = None,
 ) -> list[Tracks]:
     """Read one or more recordings; frames are whole numbers, missing rows are gaps.
 
@@ -103,7 +94,7 @@ def read_long_table(
     named = heading is not None or angle_unit is None
     require(named, f"{path}: angle_unit is {angle_unit!r} of no column: name it by heading")
     to_radians = 1.0 if heading is None else radians_per_unit(path, heading, angle_unit)
-    table = open_table(path, encoding, sheet, decimal)
+    table = tables.open_table(path, encoding, sheet, decimal)
     found = find_columns(table)
     given = {"frame": frame or time, "individual": individual, "x": x, "recording": recording}
     if any(given.get(part, part) is None for part in found.unclear) and (
@@ -131,7 +122,7 @@ def read_long_table(
     "wide-table",
     "a row per frame (CSV, TSV, text, Excel, Parquet); columns x_NAME, y_NAME, or pairs by option",
     sniff=_is_wide,
-    extensions=EXTENSIONS,
+    extensions=tables.EXTENSIONS,
     generic=True,
 )
 def read_wide_table(
@@ -147,7 +138,7 @@ def read_wide_table(
     decimal: str | None = None,
     encoding: str | None = None,
     sheet: str | None = None,
-    progress: Progress = None,
+    progress: tables.Progress = None,
 ) -> list[Tracks]:
     """Read one or more recordings. ``columns`` maps each individual to its x and y column.
 
@@ -155,7 +146,7 @@ def read_wide_table(
     Columns of frames, times and recordings are as of a long table; without one of frames or times
     each row is the next frame of its recording.
     """
-    table = open_table(path, encoding, sheet, decimal)
+    table = tables.open_table(path, encoding, sheet, decimal)
     table.check_names()
     found = find_columns(table)
     pairs = columns or wide_columns(table, found)
@@ -177,7 +168,7 @@ def read_wide_table(
 
 
 def _recordings(
-    table: Table,
+    table: tables.Table,
     found: Columns,
     pairs: Pairs,
     individual: str | None,
@@ -187,7 +178,7 @@ def _recordings(
     time: str | None,
     fps: float | None,
     time_unit: str | None,
-    progress: Progress,
+    progress: tables.Progress,
     **more: Any,
 ) -> list[Tracks]:
     """Tracks of each recording: of individuals by a column, or else of the pairs of columns.
@@ -207,10 +198,10 @@ def _recordings(
     number, word = table.columns(numbers, texts, progress)
     rows = len(number[numbers[0]])
     zeros = np.zeros(rows, dtype=np.int64)
-    sets = word.get(recording or "") or Words(
-        [path.name.removesuffix(PACKED).rpartition(".")[0]], zeros
+    sets = word.get(recording or "") or tables.Words(
+        [path.name.removesuffix(tables.PACKED).rpartition(".")[0]], zeros
     )
-    who = word.get(individual or "") or Words([], zeros)
+    who = word.get(individual or "") or tables.Words([], zeros)
     start, origin = np.zeros(len(sets.entries)), np.arange(rows)  # the table's row of each
     if frame is not None:
         frames = _frame_numbers(table, frame, number[frame])
@@ -235,7 +226,7 @@ def _recordings(
                 low, high, share, when = even_rows(when, track, fps)
                 origin = low
                 number = {k: v[low] + share * (v[high] - v[low]) for k, v in number.items()}
-                sets, who = (Words(one.entries, one.number[low]) for one in (sets, who))
+                sets, who = (tables.Words(one.entries, one.number[low]) for one in (sets, who))
                 read_as += f", irregular clock resampled to {fps:g} Hz"
             fps, frames, start = frames_at(path, when, fps, sets.number, table.place)
         if time is None and stated is None and clock not in word:
@@ -279,7 +270,7 @@ def _recordings(
     return tracks
 
 
-def wide_columns(table: Table, found: Columns) -> Pairs:
+def wide_columns(table: tables.Table, found: Columns) -> Pairs:
     """Return pairs of an x and a y; a lone x and y where no animal is named."""
     if found.individual is not None or {"individual", "x"} & set(found.unclear):
         return {}  # of rows of several individuals, or of points that might be taken for them
@@ -307,7 +298,7 @@ def _refuse_lone(path: Path, names: list[str]) -> None:
             )
 
 
-def _frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Whole:
+def _frame_numbers(table: tables.Table, column: str, frames: NDArray[np.float64]) -> Whole:
     bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
     if bad.any():
         at = int(bad.argmax())
@@ -319,7 +310,7 @@ def _frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Wh
 
 
 def _check_extent(
-    table: Table, recording: str, shape: tuple[int, int], frames: Whole, rows: Whole
+    table: tables.Table, recording: str, shape: tuple[int, int], frames: Whole, rows: Whole
 ) -> None:
     """Refuse a frame so late that the recording would take more memory than the file may ask."""
     size = shape[0] * shape[1] * 16
@@ -332,7 +323,7 @@ def _check_extent(
         )
 
 
-def _refuse_twice(table: Table, recording: str, cell: Whole, individuals: list[str]) -> None:
+def _refuse_twice(table: tables.Table, recording: str, cell: Whole, individuals: list[str]) -> None:
     twice = np.flatnonzero(np.bincount(cell) > 1)
     if len(twice):
         frame, who = divmod(int(twice[0]), len(individuals))

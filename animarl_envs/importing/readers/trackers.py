@@ -12,20 +12,10 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import npz_members, read_npz
+from animarl_envs.importing import tables
 from animarl_envs.importing.readers.arrays import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.columns import rate_of_rows
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
-from animarl_envs.importing.tables import (
-    EXTENSIONS,
-    PARQUET,
-    Progress,
-    Table,
-    is_workbook,
-    open_table,
-    plain_table,
-    sheet_names,
-    table_or_none,
-)
 from animarl_envs.importing.tracks import Tracks
 
 ETHOVISION = "Number of header lines:"  # the first cell
@@ -35,10 +25,12 @@ _TREX_X = ("X#wcentroid", "X#pcentroid", "X")
 
 
 def _is_ethovision(path: Path) -> bool:
-    if path.suffix.lower() in PARQUET:
+    if path.suffix.lower() in tables.PARQUET:
         return False
     with contextlib.suppress(InputError, ImportError, IndexError):
-        table = table_or_none(path, sheet_names(path)[0] if is_workbook(path) else None)
+        table = tables.table_or_none(
+            path, tables.sheet_names(path)[0] if tables.is_workbook(path) else None
+        )
         return table is not None and table.before[0][0] == ETHOVISION
     return False
 
@@ -47,20 +39,20 @@ def _is_ethovision(path: Path) -> bool:
     "ethovision",
     "EthoVision exports (text, Excel): a subject per file or sheet, merged by the trial's name",
     sniff=_is_ethovision,
-    extensions=EXTENSIONS,
+    extensions=tables.EXTENSIONS,
 )
 def read_ethovision(
-    path: Path, encoding: str | None = None, progress: Progress = None
+    path: Path, encoding: str | None = None, progress: tables.Progress = None
 ) -> list[Tracks]:
     """All subjects of the file; unit and frame rate are in it. In EthoVision y grows upwards.
 
     Points (``X center``, ``X nose``, ``X tail``) become keypoints; what was not found is ``-``.
     """
-    sheets = sheet_names(path) if is_workbook(path) else [None]
-    return [_ethovision(open_table(path, encoding, sheet), progress) for sheet in sheets]
+    sheets = tables.sheet_names(path) if tables.is_workbook(path) else [None]
+    return [_ethovision(tables.open_table(path, encoding, sheet), progress) for sheet in sheets]
 
 
-def _ethovision(table: Table, progress: Progress) -> Tracks:
+def _ethovision(table: tables.Table, progress: tables.Progress) -> Tracks:
     path, names = table.path, table.names
     said = {row[0].rstrip(":").lower(): row[1] for row in table.before if len(row) > 1}
     points = {name[2:]: (name, "Y" + name[1:]) for name in names if re.match(r"X .", name)}
@@ -132,7 +124,7 @@ def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tr
     sniff=lambda path: (
         (path.suffix == ".npy" and path.stem in {"trajectories", "with_gaps", "without_gaps"})
         or {"trajectories"} <= hdf_keys(path)
-        or (path.suffix == ".csv" and plain_table(path).names[:2] == ("time", "x1"))
+        or (path.suffix == ".csv" and tables.plain_table(path).names[:2] == ("time", "x1"))
     ),
     extensions=(".npy", ".h5", ".csv"),
 )
@@ -140,7 +132,7 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     """All individuals, in pixels; the frame rate is in the file. Recording: the folder's name."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        table = plain_table(path)
+        table = tables.plain_table(path)
         count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
         names = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
         number, _ = table.columns(["time", *names])
