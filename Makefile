@@ -1,27 +1,42 @@
 # make demo   make the environment, run the main job on packaged demonstrations, name the report
 # make test   lint, types, tests
+# make test-core [PYTHON=python3.13]   the environments alone, without what learns, on any Python
 # make slow   the tests that take minutes
 # make coverage   the tests of make test, and which lines none of them reached
 # make docs   the documentation site, in docs/_build/html; warnings are errors
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
+# make locks   the exact set of every package for every Python, with uv
 # make fuzz [N=20000] [SEED=0]   damaged files through every reader, see SECURITY.md
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+CORE := .venv-core/bin/python
+# Files of these folders that need what learns or draws.
+NOT_CORE := $(addprefix --ignore=tests/envs/,test_compiling.py views/test_reset_arguments.py \
+	views/test_view_specs.py worlds/test_executed_actions.py worlds/test_flock.py \
+	worlds/test_plume.py worlds/test_senses.py)
+EXPORT := uv export -q --format requirements-txt --no-emit-project --no-header --no-annotate
 # Two files of tests at a time; the tests of one file share what they make.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 N ?= 20000
 SEED ?= 0
 
-.PHONY: demo test coverage slow docs mutants fuzz lint types clean
+.PHONY: demo test test-core coverage slow docs locks mutants fuzz lint types clean
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
 
 test: $(STAMP) lint types
 	$(PYTEST) -m "not slow"
+
+test-core:
+	test -x $(CORE) || $(PYTHON) -m venv .venv-core
+	$(CORE) -m pip install -q --disable-pip-version-check --require-hashes -r locks/core.txt
+	$(CORE) -m pip install -q --disable-pip-version-check --no-deps -e .
+	$(CORE) -m pytest -q -m "not slow" $(NOT_CORE) \
+		tests/envs/views tests/envs/worlds tests/envs/wrappers tests/envs/test_*.py
 
 coverage: $(STAMP)
 	$(PYTEST) -m "not slow" --cov --cov-report=term:skip-covered
@@ -31,6 +46,11 @@ slow: $(STAMP)
 
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+
+locks:
+	uv lock
+	$(EXPORT) --group core -o locks/core.txt
+	$(EXPORT) --all-extras --all-groups -o locks/all.txt
 
 mutants: $(STAMP)
 	$(BIN)/python tools/mutants.py $(MODULES) $(if $(SAMPLE),--sample $(SAMPLE))
@@ -47,11 +67,11 @@ types: $(STAMP)
 	$(BIN)/mypy docs/*.py
 
 clean:
-	rm -rf $(VENV) out build *.egg-info
+	rm -rf $(VENV) .venv-core out build *.egg-info
 
 # torch comes first and by itself, so that no other package can ask for another build of it; which
 # one stands in constraints.txt.
-$(STAMP): setup.cfg pyproject.toml constraints.txt
+$(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[all]'

@@ -28,7 +28,7 @@ class Checked(BaseModel):
         try:
             super().__init__(**given)
         except ValidationError as error:
-            raise InputError(sentence(type(self), error.errors()[0])) from None
+            raise InputError(sentence(type(self), *error.errors())) from None
 
     @model_validator(mode="before")
     @classmethod
@@ -90,14 +90,17 @@ def plain(value: Any, counts: bool) -> Any:
     return int(value) if counts and isinstance(value, float) and value.is_integer() else value
 
 
-def sentence(model: type[BaseModel], error: ErrorDetails) -> str:
-    """Say what is wrong with a field of a model."""
+def sentence(model: type[BaseModel], error: ErrorDetails, *more: ErrorDetails) -> str:
+    """Say what is wrong with a field of a model; all unknown names at once."""
     name = str(error["loc"][0]) if error["loc"] else ""
     if error["type"] == "value_error":
         said = str(error["ctx"]["error"])
         return f"{name} is {error['input']!r}: {said}" if name else said
     if error["type"] == "extra_forbidden":
-        return f"{name!r} is unknown: choose among {', '.join(sorted(model.model_fields))}"
+        unknown = [repr(one["loc"][0]) for one in (error, *more) if one["type"] == error["type"]]
+        verb = "is" if len(unknown) == 1 else "are"
+        known = ", ".join(sorted(model.model_fields))
+        return f"{', '.join(unknown)} {verb} unknown: choose among {known}"
     shown = model.model_json_schema()["properties"][name]
     inside = shown.get("additionalProperties"), shown.get("items")
     if len(error["loc"]) > 1 and any(isinstance(one, dict) for one in inside):

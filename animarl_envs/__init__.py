@@ -18,7 +18,14 @@ import gymnasium as gym
 import pettingzoo
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.species import CUSTOM, SPECIES, Species
+from animarl_envs.species import (
+    CUSTOM,
+    SPECIES,
+    VARIANTS,
+    Species,
+    resolve_variant,
+    species_name,
+)
 
 if TYPE_CHECKING:
     from animarl_envs.views import AnimalParallelEnv
@@ -28,14 +35,16 @@ __all__ = ["SPECIES", "InputError", "MissingExtraError", "environment_id", "para
 
 
 def environment_id(species: str) -> str:
-    """The id under which a species is registered, such as ``AnimaRL/Agent-v0``."""
-    return f"AnimaRL/{species.capitalize()}-v0"
+    """The id of a species, such as ``AnimaRL/Agent-v0``, by its name or the id itself."""
+    name, variants = species_name(species), {name.lower(): name for name in VARIANTS}
+    return f"AnimaRL/{variants.get(name, name.capitalize())}-v0"
 
 
 def parallel_env(species: Species | str, **options: Any) -> AnimalParallelEnv:
     """All individuals of a species, or of ``"custom"`` demonstrations, as a ``ParallelEnv``."""
     from animarl_envs.views import AnimalParallelEnv
 
+    species, options = resolve_variant(species, options)
     return AnimalParallelEnv(species, **options)
 
 
@@ -53,26 +62,23 @@ def __getattr__(name: str) -> Any:
 
 
 def _register() -> None:
-    for name in (*SPECIES, CUSTOM):
+    ids = {environment_id(name): {"species": name} for name in (*SPECIES, CUSTOM)}
+    for name, (species, own) in VARIANTS.items():
+        ids[environment_id(name)] = {"species": species, **own}
+    for name, options in ids.items():
         gym.register(
-            id=environment_id(name),
+            id=name,
             entry_point="animarl_envs.views.single:AnimalEnv",
             vector_entry_point="animarl_envs.views.vector:AnimalVectorEnv",
-            kwargs={"species": name},
+            kwargs=options,
         )
         if hasattr(pettingzoo, "register"):  # from version 1.27 on
             pettingzoo.register(
                 "parallel",
-                id=environment_id(name),
+                id=name,
                 entry_point="animarl_envs.views.parallel:AnimalParallelEnv",
-                kwargs={"species": name},
+                kwargs=options,
             )
-    gym.register(
-        id="AnimaRL/SilkmothMemory-v0",
-        entry_point="animarl_envs.views.single:AnimalEnv",
-        vector_entry_point="animarl_envs.views.vector:AnimalVectorEnv",
-        kwargs={"species": "silkmoth", "observation": "odour"},
-    )
 
 
 _register()

@@ -18,6 +18,7 @@ import sys
 import venv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from animarl_envs.files import write_then_rename
 
@@ -34,6 +35,16 @@ class Client:
     view: str  # of the environment
     own: tuple[str, ...] = ()
     """What is installed beside this project in an environment of its own, if it needs one."""
+    argument: str = ""
+    """Which of the functions of ``more_libraries.py``."""
+    alone: tuple[str, ...] = ()
+    """What is installed after ``own`` without what it asks for, which is older than ours."""
+    checkout: str = ""
+    """The variable that names a folder of its sources, of what is no package."""
+
+    @property
+    def name(self) -> str:
+        return self.argument or self.example
 
     @property
     def path(self) -> Path:
@@ -41,12 +52,22 @@ class Client:
 
     @property
     def summary(self) -> str:
-        """First line of the example's docstring."""
-        text = ast.get_docstring(ast.parse(self.path.read_text()))
+        """First line of the docstring of the example, or of its function."""
+        tree: ast.Module | ast.FunctionDef = ast.parse(self.path.read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and node.name == self.argument:
+                tree = node
+        text = ast.get_docstring(tree)
         assert text is not None, self.path
         return text.splitlines()[0]
 
 
+def more(name: str, libraries: tuple[str, ...], view: str, *own: str, **given: Any) -> Client:
+    """A library of ``more_libraries.py``; all but SuperSuit in an environment of their own."""
+    return Client("more_libraries", libraries, view, own, argument=name, **given)
+
+
+PARALLEL = "`newt_v0.parallel_env`"
 CLIENTS = (
     Client("sb3_dqn", ("stable-baselines3",), "`gym.make`"),
     Client("sb3_ppo", ("stable-baselines3",), "`make_vec_env`"),
@@ -67,15 +88,40 @@ CLIENTS = (
         "rllib_ppo", ("ray", "gymnasium", "pettingzoo"), "`parallel_env`",
         ("ray[rllib]>=2.40", "torch"),  # which RLlib asks for, but does not bring
     ),
+    more("torchrl", ("torchrl",), PARALLEL, "torchrl>=0.14"),
+    more("benchmarl", ("benchmarl", "torchrl"), PARALLEL, "benchmarl>=1.5"),
+    more("skrl", ("skrl",), PARALLEL, "skrl[torch]>=2"),
+    more("tianshou", ("tianshou",), "`newt_v0.env`", "tianshou>=2"),
+    more("epymarl", ("gymnasium", "pettingzoo"), PARALLEL, "torch", checkout="EPYMARL"),
+    more(
+        "d3rlpy", ("d3rlpy", "minari"), "`gym.make`",
+        *("d3rlpy>=2.8", "minari[hdf5,create]", "pillow"),
+    ),
+    more(
+        "cleanrl", ("gymnasium", "torch"), "`gym.make`", *("torch", "tyro", "tensorboard"),
+        checkout="CLEANRL",
+    ),
+    more(
+        "pufferlib", ("pufferlib-core",), f"`gym.make`, {PARALLEL}", *("torch", "psutil"),
+        alone=("pufferlib-core>=3",),  # PufferLib itself downloads sources while it is built
+    ),
+    more(
+        "sample_factory", ("sample-factory",), "`gym.make`",
+        *("numpy<2.3", "torch", "tensorboard", "tensorboardx", "psutil", "threadpoolctl"),
+        *("colorlog", "filelock", "opencv-python-headless", "wandb", "huggingface-hub"),
+        alone=("sample-factory>=2.1", "faster-fifo", "signal-slot-mp"),
+    ),
+    more("supersuit", ("supersuit",), PARALLEL),
 )  # fmt: skip
 
 HEAD = """# AnimaRL in other libraries
 
 <!-- Written by `python docs/make_clients_page.py`; do not edit. -->
 
-Use the environments from stable-baselines3, CleanRL-style code, SuperSuit, TorchRL, Tianshou,
-Minari or RLlib. Each example below is one file in [`examples/`](../examples) with the options
-`--steps` and `--seed`, and tests run it.
+Use the environments from stable-baselines3, CleanRL, SuperSuit, TorchRL, BenchMARL, skrl, Tianshou,
+EPyMARL, d3rlpy, PufferLib, Sample Factory, Minari or RLlib. Each example below is one file in
+[`examples/`](../examples) with the options `--steps` and `--seed`, or one function of
+`more_libraries.py`, and tests run it.
 
 `import animarl_envs` registers the environments with Gymnasium. Libraries that start worker
 processes, such as stable-baselines3's `SubprocVecEnv`, take `"animarl_envs:AnimaRL/Agent-v0"`
@@ -92,8 +138,8 @@ FOOT = """
 What to know:
 
 - A time limit *truncates* an episode and never terminates it, so learners bootstrap there.
-  Gymnasium's views return it as the fourth value of `step`. The parallel view also sets
-  `info["TimeLimit.truncated"]` at the end, which SuperSuit's stable-baselines3 wrapper reads.
+  Gymnasium's views return it as the fourth value of `step`. The parallel view also says it in
+  `info["TimeLimit.truncated"]`, which SuperSuit's stable-baselines3 wrapper reads.
 - `gym.make(...).spec.max_episode_steps` is the time limit in force, as Gymnasium's
   `TimeAwareObservation` expects. `make_vec(..., max_episode_steps=7)` and PettingZoo's
   `make("parallel", "AnimaRL/Agent-v0", max_cycles=7)` shorten it.
@@ -105,6 +151,18 @@ What to know:
   beforehand, for all species.
 - Observations are compact by default, 10 to 20 numbers for a chase; `observation="full"` gives what
   this package's own models see.
+- `infos` of the parallel view have the same flat numbers at reset and at every step.
+  `env.state()`, in `state_space`, is the positions and velocities of all. `env.scenario_data`
+  describes the world.
+- `from animarl_envs import newt_v0` gives a module as PettingZoo has them:
+  `newt_v0.parallel_env()`, `newt_v0.env()`.
+- CleanRL and EPyMARL are no packages. Their tests run where `$CLEANRL` and `$EPYMARL` name the
+  folder of a checkout: `ppo.py` and the wrappers are used unchanged. The rows above are of CleanRL
+  `b5fb801` and of EPyMARL's `gymma.py` of `692b1f1`, without its other simulators.
+- PufferLib 3.0.0 downloads sources while it is built (`urlopen error: Name or service not known`
+  where that is not possible). `pufferlib-core`, in which others package its core, has the
+  emulation that is tested. Sample Factory 2.1.1 asks for `gymnasium<1.0` and `numpy<2`; it runs
+  with Gymnasium 1.4 and NumPy 2.2 if it is installed with `--no-deps`.
 - SuperSuit's SB3 wrapper has no `seed()`. Give SB3 no `seed=`; seed as the example does.
 """
 
@@ -117,7 +175,7 @@ def interpreter(client: Client, folder: Path) -> Path:
     """
     if not client.own:
         return Path(sys.executable)
-    home = folder / client.example
+    home = folder / client.name
     python = home / "bin" / "python"
     ready = home / ".installed"
     if not ready.exists():
@@ -127,13 +185,16 @@ def interpreter(client: Client, folder: Path) -> Path:
         limits.write_text("".join(f"{line}\n" for line in lines if line.startswith("torch==")))
         install = [str(python), "-m", "pip", "install", "-q", "-c", str(limits)]
         subprocess.run([*install, str(ROOT), *client.own], check=True)
+        if client.alone:
+            subprocess.run([*install, "--no-deps", *client.alone], check=True)
         ready.touch()
     return python
 
 
 def run(client: Client, python: Path, steps: int) -> str:
     """Run one example; its last line of output."""
-    command = [str(python), "-W", "ignore", str(client.path), "--steps", str(steps)]
+    which = [client.argument] if client.argument else []
+    command = [str(python), "-W", "ignore", str(client.path), *which, "--steps", str(steps)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     if done.returncode != 0:
         raise SystemExit(f"{client.path} failed:\n{done.stderr[-2000:]}")
@@ -162,9 +223,10 @@ def main() -> None:
         python = interpreter(client, given.environments)
         said, ran = run(client, python, given.steps), versions(client, python)
         ran += " (own environment)" if client.own else ""
-        link = f"[`{client.example}.py`](../examples/{client.example}.py)"
+        which = f"{client.example}.py {client.argument}".rstrip()
+        link = f"[`{which}`](../examples/{client.example}.py)"
         rows.append(f"| {link} | {client.summary} | {client.view} | {ran} | {said} |")
-        print(client.example, "-", said, flush=True)
+        print(client.name, "-", said, flush=True)
     head = HEAD.format(steps=given.steps, python=platform.python_version())
     with write_then_rename(PAGE) as part:
         part.write_text(head + "\n".join(rows) + "\n" + FOOT)

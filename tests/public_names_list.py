@@ -9,7 +9,7 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 
-ROOT = next(p for p in Path(__file__).resolve().parents if (p / "setup.cfg").exists())
+ROOT = next(p for p in Path(__file__).resolve().parents if (p / "pyproject.toml").exists())
 FRONT_DOORS = ("animarl_envs", "animarl_envs.views", "animarl_envs.wrappers", "animarl_algos")
 
 

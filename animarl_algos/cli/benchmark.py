@@ -33,6 +33,7 @@ from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_envs.errors import InputError
+from animarl_envs.species import species_name
 
 ENGINES = ("local", "ray")
 STAGES = ("worlds", "clones", "cells", "scores")
@@ -91,7 +92,8 @@ def benchmark_command(
     if processes < 1:
         raise InputError(f"processes is {processes}: it must be at least 1")
     matrix = read_matrix(preset, config)
-    for name in species or []:
+    species = [one if one in matrix.files else species_name(one) for one in species or []]
+    for name in species:
         if name not in (*matrix.species, *matrix.files):
             known = ", ".join((*matrix.species, *matrix.files))
             raise InputError(f"--species {name}: it is not in the matrix: choose among {known}")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium as gym
@@ -23,8 +23,8 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.fitting.transitions import demonstrated_actions
-from animarl_envs.scenario import Demos, make_scenario
-from animarl_envs.species import Species
+from animarl_envs.scenario import Demos, make_scenario, refuse_other_species
+from animarl_envs.species import Species, resolve_variant
 from animarl_envs.views.common import check_actions, observation_space
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
@@ -95,6 +95,7 @@ class SlotVecEnv(VecEnv):
         if split == "test":
             raise InputError("split is 'test': learners are never given the test split")
         check_labels(labels, label_width, label_horizon)
+        species, options = resolve_variant(species, options)
         with also_list_options_of(SlotVecEnv.__init__, without=("drivers",)):
             full = make_scenario(species, demos=demos, split=None, **options)
         everyone = full.names
@@ -140,7 +141,7 @@ class SlotVecEnv(VecEnv):
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
         self._pending: NDArray[np.int64] | None = None
-        self._labels = (labels, label_width, label_horizon)
+        self.labels = (labels, label_width, label_horizon)
         self._offline_data: SpeciesDemonstrations | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
@@ -234,7 +235,7 @@ class SlotVecEnv(VecEnv):
         if self._offline_data is None:  # its splits are made when first looked at
             self._offline_data = SpeciesDemonstrations(
                 *(self.scenario.species, self.demos, self.individuals, self.condition_flag),
-                *self._labels,
+                *self.labels,
             )
         return self._offline_data
 
@@ -325,8 +326,8 @@ class SlotLayout:
     def of(cls, env: VecEnv) -> SlotLayout:
         if is_vecenv_wrapped(env, VecNormalize):
             raise InputError(
-                "VecNormalize is not supported by sequence replay (its statistics would change "
-                "under stored sequences): scale the observations in the environment instead"
+                "VecNormalize would change the scale of observations that the replay memory holds: "
+                "give the learner standardise_inputs=True instead"
             )
         individuals = tuple(getattr(env, "individuals", ("agent",)))
         num_copies = int(getattr(env, "num_copies", env.num_envs))
@@ -338,6 +339,28 @@ class SlotLayout:
         observed = getattr(env, "observed", ())
         known = observed if isinstance(observed, tuple) else ()  # another's word for something else
         return cls(num_copies, individuals, bool(_declared(env, "condition_flag")), known)
+
+
+def demonstrations_in(env: VecEnv, demos: Demonstrations, layout: SlotLayout) -> Any:
+    """Return the splits of ``demos`` that training may see, in the terms of ``env``.
+
+    Raises
+    ------
+    InputError
+        If they are of other animals or another time step, or ``env`` is of another package.
+    """
+    scenario, focal = _declared(env, "scenario"), _declared(env, "focal_index")
+    if scenario is None:
+        raise InputError(
+            f"{demos.name}: the environment is none of AnimaRL's, which demonstrations of animals "
+            "fit: learn in one, or give datasets as attributes train and val"
+        )
+    refuse_other_species(demos, scenario.species.name)
+    shown = learnable(demos)
+    replace(scenario, demos=shown)  # refuses others
+    learners = layout.individuals if focal is None else (scenario.names[focal],)
+    labels = getattr(env, "labels", ())
+    return SpeciesDemonstrations(scenario.species, shown, learners, layout.condition_flag, *labels)
 
 
 def refuse_other_slots(there: SlotLayout, here: SlotLayout) -> None:

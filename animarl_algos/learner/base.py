@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
+from stable_baselines3.common.base_class import maybe_make_env
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
@@ -20,12 +21,18 @@ from animarl_algos.checked import SEED
 from animarl_algos.data.vec_env import (
     SlotLayout,
     SlotVecEnv,
+    demonstrations_in,
     refuse_other_actions,
     refuse_other_slots,
 )
 from animarl_algos.learner import checkpoint
 from animarl_algos.learner.callbacks import BoundaryCallback
-from animarl_algos.learner.checks import check_setting_combinations, translate_policy_kwargs
+from animarl_algos.learner.checks import (
+    check_environment_supports,
+    check_observation,
+    check_setting_combinations,
+    translate_policy_kwargs,
+)
 from animarl_algos.learner.collecting import Memory
 from animarl_algos.learner.presets import (
     check_settings,
@@ -50,8 +57,9 @@ from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy, PolicySettings
 from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
 from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.species import SPECIES, get_species, species_name
+from animarl_envs.species import CUSTOM, SPECIES, resolve_variant, species_name
 
 TO_SB3 = (
     "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
@@ -70,6 +78,12 @@ COUNTERS = (
 """Attributes that a checkpoint holds as they are."""
 
 
+def is_ours(name: str) -> bool:
+    """Whether an id or a name is one of this package's, not another's registered with Gymnasium."""
+    species = species_name(str(resolve_variant(name, {})[0]))
+    return "AnimaRL/" in name or (name not in gym.registry and species in (*SPECIES, CUSTOM))
+
+
 class BaseLearner(OffPolicyAlgorithm):
     """Settings, policy, replay memory and state of a learner of K independent individuals.
 
@@ -85,7 +99,8 @@ class BaseLearner(OffPolicyAlgorithm):
     learning_rate
         Of Adam, a number or a schedule of the remaining progress.
     demonstrations
-        Object with ``train`` and ``val`` datasets; by default the environment's own, if it has any.
+        :class:`~animarl_envs.demos.Demonstrations`, or an object with ``train`` and ``val``
+        datasets; by default the environment's own, if it has any.
     seed, device, verbose, tensorboard_log
         As in stable-baselines3.
     settings
@@ -163,16 +178,22 @@ class BaseLearner(OffPolicyAlgorithm):
             del given["offline_epochs"]
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
-        ours = isinstance(env, str) and env not in gym.registry and species_name(env) in SPECIES
-        if isinstance(env, str) and (ours or env.startswith("AnimaRL/")):
-            preset = learner_preset(self.preset, environment_id(get_species(env).name))
-            env = SlotVecEnv(env, preset.n_envs, condition_flag=None, **preset.env_kwargs)
+        if isinstance(env, str) and is_ours(env):
+            name, options = resolve_variant(env, {})
+            preset = learner_preset(self.preset, environment_id(str(name)))
+            if isinstance(demonstrations, Demonstrations):
+                options["demos"], demonstrations = demonstrations, None
+            options |= preset.env_kwargs
+            env = SlotVecEnv(name, preset.n_envs, condition_flag=None, **options)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
         policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):
             raise InputError(
                 f"policy {policy!r} is unknown: choose {' or '.join(self.policy_aliases)}"
             )
+        made = None if env is None else maybe_make_env(env, verbose)
+        if made is not None:
+            check_observation(made.observation_space)
         policy_kwargs = dict(whole["policy_kwargs"])
         species = getattr(getattr(env, "scenario", None), "species", None)
         if getattr(species, "is_group", False):  # animals that are alike, with recordings or not
@@ -180,7 +201,7 @@ class BaseLearner(OffPolicyAlgorithm):
         try:
             super().__init__(
                 policy,
-                env,  # type: ignore[arg-type]
+                made,  # type: ignore[arg-type]
                 **{name: whole.pop(name) for name in TO_SB3},
                 tensorboard_log=tensorboard_log,
                 verbose=verbose,
@@ -202,6 +223,14 @@ class BaseLearner(OffPolicyAlgorithm):
             recurrent = self.policy_class.recurrent
             check_setting_combinations(vars(self), self.recipe, recurrent, self.quantiles)
             self._setup_model()
+            assert self.env is not None
+            check_environment_supports(self.recipe, self.env, self.layout)
+            if isinstance(demonstrations, Demonstrations):
+                self.demonstrations = demonstrations_in(self.env, demonstrations, self.layout)
+            if demonstrations is not None:
+                self.check_learnable()
+            elif self.offline_epochs:  # the environment's own, which take long to look at
+                self.demonstration_data()
 
     @classmethod
     def _kind(cls) -> dict[str, Any]:

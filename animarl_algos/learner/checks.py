@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import gymnasium as gym
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
@@ -69,6 +70,15 @@ def check_setting_combinations(
         )
 
 
+def check_observation(space: gym.Space[Any]) -> None:
+    """Refuse an observation that is no array of numbers."""
+    if not isinstance(space, gym.spaces.Box):
+        raise InputError(
+            f"observations are {type(space).__name__} and the networks take numbers in a Box: wrap "
+            "the environment in gymnasium.wrappers.FlattenObservation"
+        )
+
+
 def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) -> None:
     """Refuse an environment that does not give what a recipe learns from."""
     given = provided(env)
@@ -91,6 +101,11 @@ def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) 
 
 def check_demonstrations(data: Any, recipe: Recipe, network: StackedQNetwork, env: Any) -> None:
     """Refuse demonstrations of other individuals, another observation or other actions."""
+    if not (hasattr(data, "train") and hasattr(data, "val")):
+        raise InputError(
+            f"demonstrations is a {type(data).__name__}: give Demonstrations, or an object with "
+            "the datasets train and val"
+        )
     for name, dataset in (("training", data.train), ("validation", data.val)):
         batch = next(iter(dataset.batches(1)), None)
         if batch is None:

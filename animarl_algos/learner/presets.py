@@ -262,8 +262,8 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
         place = f"{name}: {section}"
         wrong = presets
         if isinstance(presets, dict):
-            if {"n_timesteps", "policy"} & set(presets):  # rl_zoo3's: settings without a preset
-                presets = {"default": {"n_envs": 1} | presets}
+            if set(presets) & set(model.model_fields):  # rl_zoo3's: settings without a preset
+                presets = {"default": ({} if bases else {"n_envs": 1}) | presets}
             wrong = next((str(key) for key in presets if key not in PRESETS), None)
         if wrong is not None:
             raise InputError(

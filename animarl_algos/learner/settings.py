@@ -6,6 +6,7 @@ and the tables of ``docs/learners.md`` are made from :class:`LearnerSettings`.
 
 from __future__ import annotations
 
+import ast
 import math
 from contextlib import suppress
 from typing import Annotated, Any, Literal, get_type_hints
@@ -269,7 +270,8 @@ class LearnerFile(
 ):
     """What a section of a file of ``zoo_configs`` may say.
 
-    Numbers may be written ``1e-4``, which YAML takes for text.
+    Numbers may be written ``1e-4``, which YAML takes for text, and tables as rl_zoo3 writes them,
+    ``"dict(net_arch=[64, 64])"``; literals alone are read, nothing is evaluated.
     """
 
     n_timesteps: int = Field(1, ge=1)
@@ -286,6 +288,12 @@ class LearnerFile(
         for name, value in given.items():
             with suppress(ValueError):
                 numbers[name] = float(value) if isinstance(value, str) else value
+            if isinstance(value, str) and value.startswith("dict("):
+                with suppress(ValueError, SyntaxError):
+                    call = ast.parse(value, mode="eval").body
+                    if isinstance(call, ast.Call) and not call.args:
+                        pairs = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
+                        numbers[name] = pairs
         return numbers
 
 
@@ -316,7 +324,8 @@ def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
     limit = declared_limit(env)
     if limit is None:
         raise InputError(
-            "the environment does not say how long an episode can last: give max_episode_steps"
+            "the environment does not say how long an episode can last: give max_episode_steps, or "
+            "wrap it in gymnasium.wrappers.TimeLimit"
         )
     return limit
 
@@ -327,7 +336,8 @@ def declared_limit(env: VecEnv) -> int | None:
     That is ``max_episode_steps`` or ``time_limit`` of the VecEnv or of its environments, or what
     the Gymnasium specs say; of several the longest.
     """
-    for name in ("max_episode_steps", "time_limit"):
+    # The last is that of Gymnasium's TimeLimit, around an environment without a spec.
+    for name in ("max_episode_steps", "time_limit", "_max_episode_steps"):
         declared = getattr(env, name, None)
         if declared is None and env.has_attr(name):
             each = env.get_attr(name)

@@ -29,6 +29,7 @@ from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
 from animarl_envs.scenario import PACKAGED
+from animarl_envs.species import species_name
 
 FOLDER = Path(__file__).resolve().parents[1] / "pretrained"
 CARD, METRICS = "README.md", "metrics.json"
@@ -44,8 +45,8 @@ def model_folder(model: str | Path) -> Path:
     folder = Path(model)
     if folder.exists():
         return folder
-    if str(model) in pretrained_names():
-        return FOLDER / str(model)
+    if (name := species_name(str(model))) in pretrained_names():
+        return FOLDER / name
     raise InputError(
         f"{model}: there is no such folder and no packaged model of that name: name the folder of "
         f"a run, or one of {', '.join(pretrained_names())}"

@@ -158,12 +158,13 @@ def check_device(device: str) -> None:
 
 
 def environment_options(env: str) -> dict[str, Any]:
-    """Return the options that an environment was registered with.
+    """Return the options that an environment was registered with; also by its species' name.
 
     Raises InputError if none of this id is registered.
     """
     try:
-        return dict(gym.spec(env).kwargs)
+        named = environment_id(env)
+        return dict(gym.spec(named if named in gym.registry else env).kwargs)
     except gym.error.Error as error:
         known = ", ".join(sorted(i for i in gym.registry if i.startswith("AnimaRL/")))
         raise InputError(
@@ -177,9 +178,10 @@ def asked_species(env: str | None, species: str | None) -> str | None:
 
     Raises InputError if they contradict each other, or the environment is none of this suite.
     """
+    species = None if species is None else species_name(species)
     if env is None:
         return species
-    spec = gym.registry.get(env)
+    spec = gym.registry.get(env, gym.registry.get(environment_id(env)))
     named = None if spec is None else spec.kwargs.get("species")
     if not isinstance(named, str):
         raise InputError(

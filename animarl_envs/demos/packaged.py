@@ -7,24 +7,25 @@ from pathlib import Path
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.species import species_name
 
 FOLDER = Path(__file__).parent / "data"
 
 
 @cache
 def load_packaged(name: str) -> Demonstrations:
-    """The packaged demonstrations of a species.
+    """The packaged demonstrations of a species, by its name or id.
 
     Raises
     ------
     InputError
         If none are packaged for it.
     """
-    if name not in packaged_names():
+    if species_name(name) not in packaged_names():
         raise InputError(
             f"no demonstrations are packaged for {name!r}: there are {', '.join(packaged_names())}"
         )
-    return Demonstrations.load(FOLDER / f"{name}.npz")
+    return Demonstrations.load(FOLDER / f"{species_name(name)}.npz")
 
 
 @cache

@@ -268,6 +268,26 @@ def cut_after(world: World, most: int | None) -> None:
         world.truncated |= (world.step_count >= most) & ~world.terminated
 
 
+def check_action(action: Any, num_actions: int, who: str = "") -> int:
+    """Return one individual's action as Python's own whole number, of whatever integer type.
+
+    Raises
+    ------
+    InputError
+        If it is no whole number, or out of range.
+    """
+    try:
+        number = index(action)
+    except TypeError:
+        number = -1
+        wrong = "no whole number"
+    else:
+        wrong = "out of range"
+    if not 0 <= number < num_actions:
+        raise InputError(f"action {action!r}{who} is {wrong}: choose 0 to {num_actions - 1}")
+    return number
+
+
 def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDArray[np.int64]:
     """Return actions as an integer array of that shape.
 
@@ -280,7 +300,7 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
     if array.shape != shape:
         raise InputError(f"actions have shape {array.shape}: give {shape}, one per copy")
     if array.dtype.kind not in "iu":
-        raise InputError(f"actions are {array.dtype}: give whole numbers")
+        raise InputError(f"actions are {array.dtype}: give whole numbers, 0 to {num_actions - 1}")
     if array.min() < 0 or array.max() >= num_actions:
         worst = array.max() if array.max() >= num_actions else array.min()
         raise InputError(f"action {worst} is out of range: choose 0 to {num_actions - 1}")

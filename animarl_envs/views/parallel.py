@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from functools import partial
-from operator import index
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from animarl_envs.species import Species
 from animarl_envs.views.common import (
     View,
     action_space,
+    check_action,
     checked_limit,
     cut_after,
     observation_space,
@@ -51,9 +51,11 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
     Notes
     -----
     ``infos[agent]`` holds the numbers of :class:`~animarl_envs.views.single.AnimalEnv`, the same
-    names at reset (where ``executed`` is -1) and at every step, and at the end also
-    ``TimeLimit.truncated``, for libraries that do not look at truncations. ``scenario_data``
-    describes the world.
+    names at reset (where ``executed`` is -1) and at every step, and ``TimeLimit.truncated``, for
+    libraries that do not look at truncations: True where a time limit ended the episode, and at
+    the reset that follows, whose infos SuperSuit lays over those of the end. ``scenario_data``
+    describes the world. Wrappers may draw from ``np_random``, which ``reset(seed=...)`` seeds;
+    the world has streams of its own.
     """
 
     metadata: dict[str, Any] = {
@@ -82,6 +84,8 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self.agents: list[str] = []
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
         self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
+        self.np_random = np.random.default_rng()
+        self._cut = False  # whether a time limit ended the last episode
         size = 4 * len(self.possible_agents)
         self.state_space = spaces.Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
@@ -112,8 +116,11 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         """Start a new episode of all; ``options={"demo": i}`` chooses the demonstration."""
         fresh = partial(np.random.SeedSequence().generate_state, 1, np.uint64)
         self._restart(seed, fresh, options, strict=False)  # PettingZoo's own test gives others
+        if seed is not None:
+            self.np_random = np.random.default_rng(seed)
         self.agents = list(self.possible_agents)
-        return self._observations(), self._infos([NONE_YET] * len(self.agents), False)
+        infos = self._infos([NONE_YET] * len(self.agents), False, self._cut)
+        return self._observations(), infos
 
     def step(
         self, actions: dict[str, int]
@@ -134,10 +141,9 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
-        observations, infos = self._observations(), self._infos(executed, warming)
+        observations, infos = self._observations(), self._infos(executed, warming, truncated)
         if terminated or truncated:
-            for info in infos.values():  # not at reset: SuperSuit lays that info over this one
-                info["TimeLimit.truncated"] = truncated
+            self._cut = truncated
             self.agents = []
         return (
             observations,
@@ -161,20 +167,11 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
             )
         chosen = []
         for agent in self.possible_agents:
-            try:
-                action = index(actions[agent])
-            except KeyError:
-                raise InputError(f"there is no action for {agent}: give one to each") from None
-            except TypeError:
+            if agent not in actions:
                 raise InputError(
-                    f"action {actions[agent]!r} of {agent} is no whole number: choose 0 to "
-                    f"{count - 1}"
-                ) from None
-            if not 0 <= action < count:
-                raise InputError(
-                    f"action {action} of {agent} is out of range: choose 0 to {count - 1}"
+                    f"there is no action for {agent}: give one to each of {', '.join(self.agents)}"
                 )
-            chosen.append(action)
+            chosen.append(check_action(actions[agent], count, f" of {agent}"))
         self._actions[0] = chosen
 
     def state(self) -> NDArray[np.float32]:
@@ -185,8 +182,9 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
     def _observations(self) -> Observations:
         return dict(zip(self.agents, self.world.observation[0].copy()))  # a row each
 
-    def _infos(self, executed: list[int], warming: bool) -> dict[str, dict[str, Any]]:
+    def _infos(self, executed: list[int], warming: bool, cut: bool) -> dict[str, dict[str, Any]]:
         shared, names = self._shared_info(warming), self.world.reward_components
+        shared["TimeLimit.truncated"] = cut
         infos = {}
         for agent, own, action in zip(self.agents, self.world.components[0].tolist(), executed):
             infos[agent] = info = shared.copy()

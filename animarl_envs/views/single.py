@@ -16,6 +16,7 @@ from animarl_envs.views.common import (
     FocalView,
     Others,
     action_space,
+    check_action,
     observation_space,
 )
 
@@ -121,17 +122,13 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         """One decision step of the focal individual."""
         if not self._running:
             raise InputError("step was called before reset or after the end: call reset first")
-        known = type(action) is int and 0 <= action < self.world.num_actions  # the quick way
-        if not known and not self.action_space.contains(action):
-            raise InputError(
-                f"action {action!r} is out of range: choose 0 to {self.world.num_actions - 1}"
-            )
+        action = check_action(action, self.world.num_actions)
         world, i = self.world, self.focal_index
         warming = world.warming.item()
         self._actions[0, i] = action
         for j, policy in self._policies.items():
             self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
-        done = self.world.executed(self._actions).item(0, i) if warming else int(action)
+        done = self.world.executed(self._actions).item(0, i) if warming else action
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)

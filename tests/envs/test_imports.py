@@ -98,6 +98,8 @@ NEEDS = {
 
 @pytest.mark.parametrize("need", NEEDS)
 def test_a_missing_extra_is_named_in_a_sentence(need: str, tmp_path: Path) -> None:
+    if need == "data":
+        pytest.importorskip("sleap_io")  # or its extra would be named
     (tmp_path / "tracks.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     program = f"{WITHOUT}\ntry:\n    {NEEDS[need]}\nexcept MissingExtraError as e:\n    print(e)"
     done = subprocess.run(

@@ -4,15 +4,12 @@ import csv
 import io
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from refusals import refuses
-from report_inputs import report_inputs
-from typer.testing import CliRunner
 
-from animarl_algos.cli.main import app
-from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.checks import LONGEST_NAME, check_names, printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.drawing.summary_figure import plot_summary
@@ -32,6 +29,14 @@ NO_NAMES = {
     "long": "a" * 5000, "empty": "", "blank": "  ", "up": "../../etc/passwd", "root": "/etc/passwd",
     "back": "..\\x", "formula": "=HYPERLINK(1)", "plus": "+1+1", "minus": "-1+1", "at": "@SUM(A1)",
 }  # fmt: skip
+
+
+def invoke(*words: str) -> Any:
+    """Run the command line, where what it needs is installed."""
+    testing = pytest.importorskip("typer.testing")
+    from animarl_algos.cli.main import app
+
+    return testing.CliRunner().invoke(app, list(words))
 
 
 def table(path: Path, name: str) -> Path:
@@ -60,7 +65,7 @@ def test_what_cannot_be_among_names_is_refused(kind: str) -> None:
 @pytest.mark.parametrize("kind", NO_NAMES)
 def test_names_are_refused_in_tables_in_one_printable_sentence(kind: str, tmp_path: Path) -> None:
     path = table(tmp_path / "t.csv", NO_NAMES[kind])
-    ran = CliRunner().invoke(app, ["import", str(path), "--fps", "20", "--dry-run"])
+    ran = invoke("import", str(path), "--fps", "20", "--dry-run")
     assert isinstance(ran.exception, InputError)
     shown = printable(str(ran.exception))
     assert shown.isprintable() and "\x1b" not in ran.output
@@ -82,14 +87,13 @@ def test_names_are_refused_in_demonstrations(kind: str, tmp_path: Path) -> None:
 def test_odd_names_are_shown_as_they_are(name: str, tmp_path: Path) -> None:
     """Through import, the screen, and back out of a table."""
     path, out = table(tmp_path / "t.csv", name), tmp_path / "demos.npz"
-    run = CliRunner().invoke
-    made = run(app, ["import", str(path), "--fps", "20", "--target", "other", "--out", str(out)])
+    made = invoke("import", str(path), "--fps", "20", "--target", "other", "--out", str(out))
     assert made.exit_code == 0, made.output
-    for command in (["data", "show", str(out)], ["data", "check", str(out)]):
-        assert run(app, command).exit_code == 0
-    assert name in run(app, ["data", "show", str(out)]).output.replace("\n", "")
+    assert invoke("data", "check", str(out)).exit_code == 0
+    shown = invoke("data", "show", str(out))
+    assert shown.exit_code == 0 and name in shown.output.replace("\n", "")
     back = tmp_path / "back.csv"
-    assert run(app, ["data", "convert", str(out), "--out", str(back)]).exit_code == 0
+    assert invoke("data", "convert", str(out), "--out", str(back)).exit_code == 0
     (*_, tracks) = read_tracks(back, recording="recording")
     assert set(tracks.individuals) == {name, "other"}
     with back.open(newline="") as file:
@@ -101,7 +105,8 @@ def test_odd_names_are_shown_as_they_are(name: str, tmp_path: Path) -> None:
 
 
 def test_names_stand_escaped_in_the_report() -> None:
-    from animarl_algos.report.run_page import run_page
+    run_page = pytest.importorskip("animarl_algos.report.run_page").run_page
+    from report_inputs import report_inputs
 
     inputs = report_inputs()
     odd = "<script>alert(1)</script>{{ 7 * 7 }}"
@@ -114,9 +119,11 @@ def test_texts_of_files_are_not_obeyed_by_the_screen(tmp_path: Path) -> None:
     demos = Demonstrations.load(write_native(tmp_path))
     said = {"source": "\x1b]0;owned\x07 [bold]a\udc80[/red]", "licence": ["x"], "synthetic": True}
     path = replace(demos, provenance=said).save(tmp_path / "said.npz")
-    shown = CliRunner().invoke(app, ["data", "show", str(path)])
+    shown = invoke("data", "show", str(path))
     assert shown.exit_code == 0, shown.output
     assert r"\x1b]0;owned\x07 [bold]a\udc80[/red]" in shown.output
+    from animarl_algos.cli.shared import PlainConsole
+
     stream = io.StringIO()
     PlainConsole(file=stream).print("[red]\x1b[2J:smile:")
     assert stream.getvalue().strip() == r"[red]\x1b[2J:smile:"

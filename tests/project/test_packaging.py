@@ -1,12 +1,12 @@
 """What is asked of an installation, and that a built wheel holds all that the project needs."""
 
-import configparser
 import os
 import re
 import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import venv
 from pathlib import Path
 
@@ -14,6 +14,9 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = CONFIG["project"]
+EXTRAS: dict[str, list[str]] = PROJECT["optional-dependencies"]
 
 
 def pins() -> dict[str, str]:
@@ -28,11 +31,9 @@ def canonical(name: str) -> str:
 
 
 def requirements() -> list[str]:
-    """Everything that ``setup.cfg`` asks for, extras included."""
-    config = configparser.ConfigParser()
-    config.read(ROOT / "setup.cfg")
-    lists = [config["options"]["install_requires"], *config["options.extras_require"].values()]
-    return [line for entry in lists for line in entry.split() if not line.startswith("animarl[")]
+    """Everything that ``pyproject.toml`` asks for, extras and groups included."""
+    lists = [PROJECT["dependencies"], *EXTRAS.values(), *CONFIG["dependency-groups"].values()]
+    return [line for entry in lists for line in entry if not line.startswith("animarl[")]
 
 
 def test_versions_are_fixed_in_the_constraints_alone() -> None:
@@ -55,18 +56,35 @@ def test_everybody_uses_the_same_ruff() -> None:
 
 def test_hosted_tests_are_those_of_the_makefile() -> None:
     workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text())
-    commands = [step["run"] for step in workflow["jobs"]["test"]["steps"] if "run" in step]
-    assert [command.split()[:2] for command in commands] == [["make", "test"]]
+    steps = {name: job["steps"] for name, job in workflow["jobs"].items()}
+    for job, target in (("test", "test"), ("core", "test-core")):
+        commands = [step["run"] for step in steps[job] if "run" in step]
+        assert [command.split()[:2] for command in commands] == [["make", target]]
+    actions = [step["uses"] for job in steps.values() for step in job if "uses" in step]
+    assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", action) for action in actions)
+    pythons = workflow["jobs"]["core"]["strategy"]["matrix"]["python-version"]
+    named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
+    assert pythons == named and PROJECT["requires-python"] == f">={pythons[0]}"
+
+
+def test_locks_hold_every_package_that_is_asked_for_by_hash_and_no_address() -> None:
+    core, whole = ((ROOT / "locks" / f"{name}.txt").read_text() for name in ("core", "all"))
+    asked = {canonical(re.split(r"[<>=!~]", line)[0]) for line in requirements()}
+    for text, names in (
+        (whole, asked),
+        (core, {"gymnasium", "numpy", "numba", "pettingzoo", "pytest", "hypothesis"}),
+    ):
+        locked = set(re.findall(r"^([\w.-]+)==", text, re.MULTILINE))
+        assert names <= locked
+        assert "://" not in text
+        assert text.count("--hash=sha256:") > len(locked)
 
 
 def test_the_page_of_a_registry_links_to_nothing_that_is_not_there() -> None:
-    config = configparser.ConfigParser()
-    config.read(ROOT / "setup.cfg")
-    _, _, name = config["metadata"]["long_description"].partition("file: ")
-    page = (ROOT / name).read_text()
+    page = (ROOT / PROJECT["readme"]).read_text()
     links = re.findall(r"\]\(([^)]*)\)", page)
     assert links and all(link.startswith("https://") for link in links)
-    for extra in config["options.extras_require"]:
+    for extra in EXTRAS:
         assert extra == "test" or f"| `{extra}` |" in page
     for name in re.findall(r"`(\w+\.(?:md|cff))`", page):
         assert (ROOT / name).exists() or (ROOT / "docs" / name).exists()
@@ -92,12 +110,9 @@ main()
 )
 def test_animals_are_watched_without_what_learns(tmp_path: Path, more: tuple[str, ...]) -> None:
     """The packages that ``render`` and ``cli`` bring are enough."""
-    config = configparser.ConfigParser()
-    config.read(ROOT / "setup.cfg")
-    wanted = config["options.extras_require"]
-    enough = {wanted[e] for e in ("render", "cli")} | {config["options"]["install_requires"]}
-    here = {re.split(r"[<>=]", line)[0] for text in enough for line in text.split()}
-    asked = {re.split(r"[<>=]", line)[0] for e in ("algos", "data") for line in wanted[e].split()}
+    enough = [*PROJECT["dependencies"], *EXTRAS["render"], *EXTRAS["cli"]]
+    here = {re.split(r"[<>=]", line)[0] for line in enough}
+    asked = {re.split(r"[<>=]", line)[0] for e in ("algos", "data") for line in EXTRAS[e]}
     modules = {"scikit-learn": "sklearn", "pyyaml": "yaml"}
     absent = {modules.get(name, name).replace("-", "_") for name in asked - here}
     assert {"torch", "stable_baselines3", "scipy", "pandas"} <= absent

@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import os
 import re
 import subprocess
 import sys
@@ -27,9 +28,9 @@ def load(path: Path) -> ModuleType:
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 PAGE = load(ROOT / "docs" / "make_clients_page.py")
 CLIENTS = PAGE.CLIENTS
-OWN = {client.example: client for client in CLIENTS if client.own}
+OWN = {client.name: client for client in CLIENTS if client.own}
 OPTIONAL = {"torchrl_env": "torchrl", "tianshou_env": "tianshou"}
-HERE = [path for path in EXAMPLES if path.stem not in OWN]
+HERE = [path for path in EXAMPLES if path.stem not in (*OWN, "more_libraries")]
 
 
 @pytest.mark.parametrize("path", HERE, ids=lambda path: path.stem)
@@ -43,10 +44,19 @@ def test_example_runs_and_gives_a_number(path, capsys):
     assert "400 steps" in capsys.readouterr().out
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_frames_are_skipped_by_supersuit():
+    said = load(ROOT / "examples" / "more_libraries.py").main(["supersuit", "--steps", "400"])
+    episodes = int(said.split()[0])
+    assert episodes > 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OWN)
 def test_clients_of_other_versions_run_in_environments_of_their_own(name, tmp_path):
     client = OWN[name]
+    if client.checkout and client.checkout not in os.environ:
+        pytest.skip(f"{name} is no package: name a checkout in ${client.checkout}")
     try:
         python = PAGE.interpreter(client, tmp_path)
     except subprocess.CalledProcessError as error:
@@ -69,7 +79,8 @@ def test_the_page_names_every_example_and_a_version_of_every_library():
     page = (ROOT / "docs" / "clients.md").read_text()
     assert {client.example for client in CLIENTS} == {path.stem for path in EXAMPLES}
     for client in CLIENTS:
-        row = next(line for line in page.splitlines() if f"`{client.example}.py`" in line)
+        place = f"`{client.example}.py {client.argument}".rstrip()
+        row = next(line for line in page.splitlines() if f"{place}`" in line)
         assert client.summary in row
         for library in client.libraries:
             assert re.search(rf"{library} \d+\.\d+", row)

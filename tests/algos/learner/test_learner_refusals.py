@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 import toys
+from gymnasium.wrappers import FlattenObservation
 from pair_learners import SETTINGS, FlaggedPair, Split, demonstrations, make_pair_learner, weights
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
@@ -132,9 +133,11 @@ CASES = {
     "continuous actions": Case("does not suit", DQN, lambda: gym.make("Pendulum-v1")),
     "continuous actions, quantiles": Case("does not suit", QRDQN, lambda: gym.make("Pendulum-v1")),
     "observations that are no vector": Case(
-        "not a Box", DQN, lambda: gym.make("Taxi-v4"), lambda: {"max_episode_steps": 5}
+        "Discrete .*FlattenObs", DQN, lambda: gym.make("Taxi-v4"), lambda: {"max_episode_steps": 5}
     ),
-    "episodes without end": Case("give max_episode_steps", DQN, lambda: gym.make("Blackjack-v1")),
+    "episodes without end": Case(
+        "give max_episode_steps", DQN, lambda: FlattenObservation(gym.make("Blackjack-v1"))
+    ),
     "unknown policy": Case("'CnnPolicy' is unknown", with_convolutions, lambda: toys.Pair(2)),
 }
 
@@ -399,7 +402,7 @@ def test_whole_numbers_may_be_written_as_floats() -> None:
 
 
 def test_cloning_needs_epochs() -> None:
-    model = BC("GruPolicy", toys.Pair(2), **SETTINGS)
+    model = BC("GruPolicy", toys.Pair(2), demonstrations=demonstrations(), **SETTINGS)
     assert model.offline_epochs == BC.default_settings()["offline_epochs"] > 0
     assert "give offline_epochs" in refused(BC, "GruPolicy", offline_epochs=0)
 

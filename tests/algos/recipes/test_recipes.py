@@ -301,6 +301,7 @@ def test_individuals_together_are_individuals_alone(name: str, in_double: None) 
 
     class Alone(toys.Recall):
         num_observations = 4
+        feedback = ("dtw_penalty", "aligned_action")  # declared; the offline phase asks for none
 
     together = make_pair_learner(name)
     together.pretrain()

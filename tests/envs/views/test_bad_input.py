@@ -208,8 +208,21 @@ def test_refused_actions(view: str, action: Any) -> None:
     env.reset(seed=0)
     before = env.world.position.copy()
     said = refuses("", env.step, _actions(view, env, action))
-    assert "0 to 12" in said or "whole numbers" in said
+    assert "0 to 12" in said
+    assert ("whole number" in said) == (type(action) is not int)
     assert np.array_equal(env.world.position, before)
+
+
+@every_view
+@pytest.mark.parametrize("kind", [np.int8, np.uint64, np.int64, np.array])
+def test_actions_of_every_integer_type_are_the_same(view: str, kind: Any) -> None:
+    env = _bare(view)
+    rows = []
+    for action in (3, kind(3)):
+        env.reset(seed=0)
+        env.step(np.array([action] * 3) if view == "vector" else _actions(view, env, action))
+        rows.append(env.world.position.copy())
+    assert np.array_equal(*rows)
 
 
 def test_refused_action_shapes_and_names() -> None:
@@ -218,7 +231,7 @@ def test_refused_action_shapes_and_names() -> None:
     everyone.reset(seed=0)
     for bad in ([0], [[0, 0, 0]], 0, [0, 0, 0, 0]):
         refuses(r"give \(3,\)", vector.step, np.array(bad))
-    refuses("no action for", everyone.step, {"prey": 0})
+    refuses("no action for predator_0: give one to each of p.*, prey", everyone.step, {"prey": 0})
     refuses("an action for 'wolf'", everyone.step, {**dict.fromkeys(everyone.agents, 0), "wolf": 1})
     refuses("actions are None: give one to each of predator_0", everyone.step, None)
 

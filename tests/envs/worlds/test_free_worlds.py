@@ -209,6 +209,7 @@ def test_views_and_options_of_free_animals() -> None:
 
 
 def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:
+    pytest.importorskip("stable_baselines3")
     from animarl_algos.whatif.answer import quantities_of
     from animarl_envs.demos.summary import RECORDED_SCALE
 
@@ -219,6 +220,7 @@ def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:
 
 def test_free_animals_differ_as_training_animals_do() -> None:
     """Who was quick stays so: each simulated animal has the traits of some recorded one."""
+    pytest.importorskip("scipy")
     own = np.linspace(0.5, 1.5, 12)
     rng, steps = np.random.default_rng(0), 60
     turns = rng.normal(0.0, 0.2, (12, steps)).cumsum(axis=1)
@@ -248,6 +250,7 @@ def test_free_animals_differ_as_training_animals_do() -> None:
 
 
 def test_animals_of_a_group_share_their_traits() -> None:
+    pytest.importorskip("scipy")
     from animarl_envs.fitting.custom_species import fitted_traits
 
     demos = group(4, episodes=12)

@@ -40,6 +40,7 @@ def test_traits_of_a_circle_are_its_speed_and_its_turning() -> None:
 
 
 def test_animals_that_differ_are_found_and_equal_ones_are_not() -> None:
+    pytest.importorskip("scipy")
     differing = np.random.default_rng(0).uniform(0.5, 1.5, 20)
     none = np.zeros(20, dtype=int)
     found = fit_traits(*walks(differing), DT, none)
@@ -52,6 +53,7 @@ def test_animals_that_differ_are_found_and_equal_ones_are_not() -> None:
 
 
 def test_what_a_condition_does_is_no_trait() -> None:
+    pytest.importorskip("scipy")
     condition = np.arange(20) % 2
     assert fit_traits(*walks(1.0 + condition), DT, condition) is None
     own = np.random.default_rng(0).uniform(0.5, 1.5, 20)
@@ -108,6 +110,7 @@ def test_closed_loop_spread_comes_from_traits() -> None:
 
 
 def test_own_recordings_get_traits_and_synthetic_ones_do_not() -> None:
+    pytest.importorskip("scipy")
     demos = load_packaged("silkmoth")  # its five plumes make programmed moths differ
     assert species_of(demos).traits is None
     heading = np.zeros(len(demos.positions))
