@@ -7,15 +7,17 @@ best scripted rule of one number (a pursuer leads the target by a time; straight
 the constant actions; the moth's is the programme ``animarl_envs.worlds.search.programmed_moth``,
 which needs the full observation, and finds few sources from starts to the side and upwind); the
 packaged clone, where it can act in the task's world; stable-baselines3's PPO, which has no memory,
-and sb3-contrib's RecurrentPPO, both with the settings below for every task; and the animals of the
-packaged demonstrations, what the task would have paid the first pursuer for its recorded episode,
-from recorded starts.
+and sb3-contrib's RecurrentPPO, both with the settings below for every task; and the packaged
+demonstrations, which are synthetic: what the task would have paid the first pursuer for its
+episode, from its start there.
 
 Returns are means of the first episode of 500 copies, whose starts no learner was trained on; all
 policies act as they do in training, at random where their distribution says so. A score is the
-return with random at 0 and the best learner's mean over seeds at 1. A row of a learner is written
-when it is done, so that a stopped command goes on. ``--quick``: one seed, few steps, two minutes,
-into ``out/tasks_quick``; it shows that everything runs, not what learners can do.
+return with random at 0 and the best learner's mean over seeds at 1 (of the learners with the most
+seeds); the spread is that of the seeds' returns. A row of a learner is written when it is done, so
+that a stopped command goes on; rows of earlier commands with other steps stay in the table.
+``--quick``: one seed, few steps, two minutes, into ``out/tasks_quick``; it shows that everything
+runs, not what learners can do.
 """
 
 from __future__ import annotations
@@ -42,8 +44,6 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from animarl_algos.evaluation.collect import remembered
-from animarl_algos.runs.pretrained import load_pretrained
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.files import write_then_rename
 from animarl_envs.species import SearchSpecies
@@ -78,11 +78,31 @@ LEARNERS: dict[str, tuple[type[OnPolicyAlgorithm], str, dict[str, Any]]] = {
          "shared_lstm": True},
     ),
 }  # fmt: skip
+SHOWN = "demonstrations (synthetic)"
 Act = Callable[[NDArray[np.float32], NDArray[np.bool_]], NDArray[np.int64]]
 """Actions of all copies, from what they see and which of them have just begun."""
 
 
-class ManyCopies(VecEnv):
+class SlotsOnly(VecEnv):
+    """A ``VecEnv`` of arrays, whose slots are no environments of their own."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self, attr_name)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        setattr(self, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
+        return [getattr(self, method_name)(*args, **kwargs)] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+class ManyCopies(SlotsOnly):
     """``gym.make_vec``'s native copies as a stable-baselines3 ``VecEnv``."""
 
     def __init__(self, task: str, copies: int, seed: int, **options: Any) -> None:
@@ -108,21 +128,6 @@ class ManyCopies(VecEnv):
                 "TimeLimit.truncated": bool(truncated[b]),
             }
         return seen, reward, done, infos
-
-    def close(self) -> None:
-        self.env.close()
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self.env, attr_name)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        setattr(self.env, attr_name, value)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
-        return [getattr(self.env, method_name)(*args, **kwargs)] * self.num_envs
-
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
 
 
 def mean_return(task: str, act: Act, episodes: int, seed: int = STARTS, **options: Any) -> float:
@@ -208,6 +213,9 @@ def clone_row(task: str, episodes: int) -> float | None:
     """The packaged clone drives the first pursuer, by all that it observed when it learned."""
     if world_of(task).scenario.species.observation == "odour":
         return None
+    from animarl_algos.evaluation.collect import remembered  # baselines.py may not have what they
+    from animarl_algos.runs.pretrained import load_pretrained  # need, and imports this file
+
     view: Any = gym.make(f"AnimaRL/{task}-v0", observation="full").unwrapped
     model = load_pretrained(view.scenario.species.name)
     world, focal = make_world(view.scenario, episodes), view.focal_index
@@ -233,8 +241,8 @@ def clone_row(task: str, episodes: int) -> float | None:
     return float(total.mean())
 
 
-def recorded_row(task: str) -> float:
-    """What the first pursuer's recorded episodes would have been paid."""
+def shown_row(task: str) -> float:
+    """What the first pursuer's packaged episodes would have been paid."""
     species = world_of(task).scenario.species
     demos = load_packaged(species.name).select(split="train")
     shared = demos.condition == 1 if getattr(species, "shared_reward", False) else False
@@ -283,7 +291,7 @@ def learned_row(task: str, name: str, seed: int, steps: int, episodes: int) -> f
 
 # -- the table -------------------------------------------------------------------------------------
 
-COLUMNS = ("task", "policy", "return", "score", "seeds")
+COLUMNS = ("task", "policy", "steps", "return", "spread", "score", "seeds")
 HEADINGS = ("task", "policy", "seed", "steps", "return")
 
 
@@ -326,7 +334,7 @@ def measure(
         rows.need(task, f"constant {best} of {actions}", "", "", lambda: earned)
     rows.need(task, "scripted", "", "", lambda: scripted_row(task, episodes))
     rows.need(task, "packaged clone", "", "", lambda: clone_row(task, episodes))
-    rows.need(task, "recorded animals", "", "", lambda: recorded_row(task))
+    rows.need(task, SHOWN, "", "", lambda: shown_row(task))
     for name in learners:
         steps = 2 * COPIES * ROLLOUT if quick else STEPS[task][name]
         for seed in seeds:
@@ -334,22 +342,28 @@ def measure(
             rows.need(task, name, str(seed), str(steps), find)
 
 
-def scores(rows: Rows, task: str) -> list[tuple[str, float, float, int]]:
-    """Policy, mean return, score and seeds, of those that have a return."""
-    found: dict[str, list[float]] = {}
-    for (of, policy, _, _), value in rows.rows.items():
+def scores(rows: Rows, task: str) -> list[tuple[str, ...]]:
+    """Rows of the table of a task: policies that have a return, learners once for all steps."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for (of, policy, _, steps), value in rows.rows.items():
         if of == task and value:
-            found.setdefault(policy, []).append(float(value))
-    means = {policy: float(np.mean(values)) for policy, values in found.items()}
-    if means.keys().isdisjoint(LEARNERS):
+            found.setdefault((policy, steps), []).append(float(value))
+    seeds = {key: len(values) for key, values in found.items() if key[0] in LEARNERS}
+    if not seeds:
         return []
-    floor, best = means["random"], max(means[name] for name in LEARNERS if name in means)
-    constants = [policy for policy in means if policy.startswith("constant")]
-    order = ["random", *constants, "scripted", "packaged clone", *LEARNERS, "recorded animals"]
-    return [
-        (name, means[name], (means[name] - floor) / (best - floor), len(found[name]))
-        for name in order if name in means
-    ]  # fmt: skip
+    means = {key: float(np.mean(values)) for key, values in found.items()}
+    floor = means["random", ""]
+    best = max(means[key] for key, count in seeds.items() if count == max(seeds.values()))
+    constants = [policy for policy, _ in means if policy.startswith("constant")]
+    order = ["random", *constants, "scripted", "packaged clone", *LEARNERS, SHOWN]
+    listed: list[tuple[str, ...]] = []
+    for key in sorted(found, key=lambda key: (order.index(key[0]), int(key[1] or 0))):
+        policy, steps = key
+        mean, score = f"{means[key]:.3f}", f"{(means[key] - floor) / (best - floor):.2f}"
+        low, high = min(found[key]), max(found[key])
+        spread = f"{low:.2f} to {high:.2f}" if len(found[key]) > 1 else ""
+        listed.append((task, policy, steps, mean, spread, score, str(seeds.get(key, ""))))
+    return listed
 
 
 def main() -> None:
@@ -373,9 +387,9 @@ def main() -> None:
         seeds = arguments.seed or ((0,) if quick else (0, 1, 2))
         measure(rows, task, arguments.learner or list(LEARNERS), seeds, quick)
     for task in TASKS:  # those of earlier commands too
-        for policy, mean, score, trained in scores(rows, task):
-            listed.append((task, policy, f"{mean:.3f}", f"{score:.2f}", str(trained)))
-            table.add_row(*listed[-1])
+        for row in scores(rows, task):
+            listed.append(row)
+            table.add_row(*row)
     with write_then_rename(out / "table.csv") as part, part.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([COLUMNS, *listed])
     Console().print(table)

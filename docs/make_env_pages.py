@@ -105,21 +105,52 @@ def task(species: Species) -> list[str]:
 
 def scores(task: str) -> list[str]:
     """Who earns what in the task, and in its variants, where that was measured."""
-    with (DOCS / "results" / "tasks" / "table.csv").open(newline="") as file:
-        rows = [row for row in csv.reader(file) if row[0].startswith(task)]
-    if not rows:
-        return []
-    return [
-        markdown_table(
-            ("environment", "policy", "mean return", "score", "seeds"),
-            [(f"`AnimaRL/{name}-v0`", *row) for name, *row in rows],
-        ),
-        "By `python benchmarks/tasks.py`, as far as it was run (`seeds` are those trained); it "
-        "says what each row is. A score is 0 for random actions and 1 for the best learner. "
-        "RecurrentPPO had fewer steps than PPO (`docs/results/tasks/scores.csv`). The recorded "
-        "animals started where recordings do, and met no opponents but each other. The tasks and "
-        "the numbers of steps were chosen on pilots that used seed 0, the one in the table.",
-    ]
+    found = []
+    for name, note in (("table", SCORES), ("teams", TEAMS)):
+        path = DOCS / "results" / "tasks" / f"{name}.csv"
+        rows = list(csv.reader(path.read_text().splitlines())) if path.exists() else [[]]
+        own = [[f"`AnimaRL/{of}-v0`", *row] for of, *row in rows[1:] if of.startswith(task)]
+        if own:
+            found += [markdown_table(("environment", *rows[0][1:]), own), note]
+            found += bars(own) if name == "table" else []
+    return found
+
+
+def bars(rows: list[list[str]]) -> list[str]:
+    """Whether learning is worth it in each environment of a table: aims, and what was found."""
+    lines = []
+    for env, of_env in groupby(rows, key=lambda row: row[0]):
+        own = list(of_env)
+        top = {row[1]: max(float(of[5]) for of in own if of[1] == row[1]) for row in own}
+        constant = next(score for policy, score in top.items() if policy.startswith("constant"))
+        aims = [("best constant action at most 0.35", f"{constant:.2f}", constant <= 0.35)]
+        for _, policy, _, earned, *_ in own:
+            if policy == "scripted":
+                best = next(row for row in own if row[5] == "1.00" and row[6])
+                low = best[4].partition(" to ")[0] or best[3]
+                aims += [("best learner's worst seed above the script", f"{low} and {earned}",
+                          float(low) > float(earned))]  # fmt: skip
+        if env.endswith("Memory-v0`") and {"PPO", "RecurrentPPO"} <= top.keys():
+            share = top["PPO"] / top["RecurrentPPO"]
+            aims += [("PPO at most 0.7 of RecurrentPPO", f"{share:.2f}", share <= 0.7)]
+        said = (f"{aim}: {was}, {'met' if met else 'missed'}" for aim, was, met in aims)
+        lines.append(f"- {env}: {'; '.join(said)}.")
+    return ["Aims of a task, and whether they are met:\n\n" + "\n".join(lines)]
+
+
+SCORES = (
+    "By `python benchmarks/tasks.py`; it says what each row is. A return is the mean over seeds, "
+    "the spread goes from the lowest to the highest seed, and a score is 0 for random actions and "
+    "1 for the best learner. Where the steps of two learners differ, their rows do not compare "
+    "them. The packaged demonstrations are synthetic; their animals started elsewhere and met no "
+    "opponents but each other. The tasks and the numbers of steps were chosen on pilots and on "
+    "earlier rows of the seeds in the table."
+)
+TEAMS = (
+    "The same task for a team: every pursuer acts, the target follows its script. By `python "
+    "benchmarks/baselines.py`, which says how. A return is the mean over pursuers, and a score is "
+    "0 for random actions and 1 for the packaged demonstrations, which are synthetic."
+)
 
 
 def kind(species: Species) -> str:
