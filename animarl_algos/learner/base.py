@@ -229,7 +229,7 @@ class BaseLearner(OffPolicyAlgorithm):
                 self.demonstrations = demonstrations_in(self.env, demonstrations, self.layout)
             if demonstrations is not None:
                 self.check_learnable()
-            elif self.offline_epochs:  # the environment's own, which take long to look at
+            elif self.offline_epochs or self.recipe.inverse:  # there, though not looked at yet
                 self.demonstration_data()
 
     @classmethod
