@@ -200,10 +200,8 @@ def test_it_acts_at_temperature_one(offline_epochs: int) -> None:
 def test_it_samples_and_needs_demonstrations() -> None:
     with pytest.raises(InputError, match=r"'epsilon' and recipe iq-learn .* set it to 'boltzmann'"):
         make_pair_learner("iq-learn", exploration="epsilon")
-    learner = make_pair_learner("iq-learn", offline_epochs=0, demonstrations=None)
     with pytest.raises(InputError, match="iq-learn learns from demonstrations and neither it nor"):
-        learner.learn(24)
-    assert learner.num_timesteps == 0
+        make_pair_learner("iq-learn", offline_epochs=0, demonstrations=None)
 
 
 def test_a_resumed_run_is_bit_equal(tmp_path: Path) -> None:
