@@ -2,6 +2,7 @@
 
     python benchmarks/learners.py [--quick]
     python benchmarks/learners.py --profile
+    python benchmarks/learners.py --devices
 
 One run, one process, one thread, on the packaged demonstrations of the agents (three individuals,
 each its own network). What is measured:
@@ -23,7 +24,8 @@ A figure is the best of many short repeats, the one least disturbed by whatever 
 processes of different sessions Linux shares the processor evenly whatever their nice level, so on a
 busy machine look at the load in the last line.
 
-``--profile`` prints what an update of DQDIL at mean length 57 is made of, and nothing else.
+``--profile`` prints what an update of DQDIL at mean length 57 is made of, and nothing else;
+``--devices`` the time of an update on the CPU and on a CUDA device beside it, where there is one.
 """
 
 from __future__ import annotations
@@ -106,7 +108,8 @@ def learner(algo: str, **settings: Any) -> SequenceQLearning:
     """``algo`` on the agents, in 16 copies of their world."""
     named = named_recipe(algo)
     env = SlotVecEnv("agent", COPIES, condition_flag=named.algorithm.recipe.needs_condition)
-    return named.algorithm(env=env, seed=1, device="cpu", batch_size=BATCH, **settings)
+    usual = {"device": "cpu", "batch_size": BATCH}
+    return named.algorithm(env=env, seed=1, **usual | settings)
 
 
 def acting_rate(seconds: float) -> float:
@@ -121,15 +124,15 @@ def acting_rate(seconds: float) -> float:
     return steps / best_time(act, seconds=seconds)
 
 
-def update_time(algo: str, mean_length: int, updates: int) -> float:
+def update_time(algo: str, mean_length: int, updates: int, device: str = "cpu") -> float:
     """Seconds of one update on synthetic episodes of ``mean_length`` steps on average."""
-    model = filled_learner(algo, mean_length)
+    model = filled_learner(algo, mean_length, device)
     return best_time(lambda: model.train(1, BATCH), repeats=updates)
 
 
-def filled_learner(algo: str, mean_length: int) -> SequenceQLearning:
+def filled_learner(algo: str, mean_length: int, device: str = "cpu") -> SequenceQLearning:
     """``algo`` with a replay memory of synthetic episodes, ready to be updated."""
-    model = learner(algo, buffer_size=40_000, offline_epochs=0)
+    model = learner(algo, buffer_size=40_000, offline_epochs=0, device=device)
     model.learn(COPIES)
     fill_with_synthetic_episodes(model, mean_length)
     return model
@@ -282,6 +285,17 @@ class Report:
         )
 
 
+def print_devices(console: Console, updates: int) -> None:
+    """Print the time of an update on the CPU, and on a CUDA device where there is one."""
+    on_gpu = torch.cuda.is_available()
+    for algo, length in PUBLISHED_UPDATE:
+        said = f"{1e3 * update_time(algo, length, updates):.1f} ms on the CPU, one thread"
+        if on_gpu:
+            said += f"; {1e3 * update_time(algo, length, updates, 'cuda'):.1f} ms on the GPU"
+        console.print(f"update, {algo}, mean length {length}: {said}")
+    console.print(torch.cuda.get_device_name() if on_gpu else "There is no CUDA device here.")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -292,6 +306,9 @@ def main() -> None:
     parser.add_argument(
         "--profile", action="store_true", help="only what an update is made of, by operation"
     )
+    parser.add_argument(
+        "--devices", action="store_true", help="only an update on the CPU and on a CUDA device"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     console = Console()
@@ -300,6 +317,9 @@ def main() -> None:
         console.print(profile_update())
         return
     budget = Budget(arguments.quick)
+    if arguments.devices:
+        print_devices(console, budget.updates)
+        return
     start, report = time.perf_counter(), Report()
 
     rate = acting_rate(budget.seconds)
