@@ -9,8 +9,10 @@ The test split is never touched.
 
 from __future__ import annotations
 
+import sys
 import time
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import pandas as pd
@@ -20,10 +22,11 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3.common.logger import Logger
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
+
 from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.distances import kde_distance
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.networks.acting_rule import Acting
@@ -34,6 +37,7 @@ from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
+from benchmarks.figure4 import kde_distance
 
 
 def main(

@@ -64,6 +64,7 @@ from animarl_envs.worlds import make_world
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
+READ = " How often this split was read is said [beside the results](../README.md)."
 FOLDS = 6  # of the cross-validation over recordings, where there are few
 NEAR = 0.05  # above recordings among themselves, where even the floor may lie
 CROSSED = "-folds"  # ends the name of a packaged set that is cross-validated
@@ -74,12 +75,11 @@ ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main(
 class Bar:
     """What must hold of one row of the verdict, or of the floor or the time that it took.
 
-    ``kind``: ``"alike"`` (inside its null or within a tenth), ``"null"`` (a Wasserstein distance
-    within what recordings against recordings give), ``"p"`` (above the limit), ``"auc"`` (at most
-    the limit), ``"floor"`` (an area at most so much above closed-loop tracking), ``"tracking"``
-    (the area of this tracking at most the limit, or near that of recordings among themselves),
-    ``"difference"`` and ``"relative"`` (of the means, at most the limit), ``"seconds"`` (of
-    processor time, at most the limit).
+    ``kind``: ``"alike"`` (inside its null or within a tenth), ``"p"`` (above the limit), ``"auc"``
+    (at most the limit), ``"floor"`` (an area at most so much above closed-loop tracking),
+    ``"tracking"`` (the area of this tracking at most the limit, or near that of recordings among
+    themselves), ``"difference"`` and ``"relative"`` (of the means, at most the limit),
+    ``"seconds"`` (of processor time, at most the limit).
     """
 
     measure: str
@@ -96,21 +96,19 @@ class Bar:
             return empty | {"label": "Time from file to verdict (s)", "simulated": seconds}
         if self.measure not in set(found.table["measure"]):
             return None
-        row = found.row(self.measure)
-        return row | {"distance": row["wasserstein_distance"]} if self.kind == "null" else row
+        return found.row(self.measure)
 
     def met(self, found: Verdict, row: Mapping[str, Any]) -> bool | None:
         """Whether it holds; None where that cannot be said."""
         value, limit = {
             "alike": (0.0 if row["judgement"] in (SAME, BY_LITTLE) else 1.0, 0.5),
-            "null": (row["distance"], row["recorded_null"]),
             "p": (-row["p"], -self.limit),
             "auc": (row["simulated"], self.limit),
             "floor": (row["simulated"], found.floor.estimate + self.limit),
             "tracking": (row["simulated"], self.either(row)),
             "seconds": (row["simulated"], self.limit),
-            "difference": (abs(row["difference"]), self.limit),
-            "relative": (abs(row["difference"]), self.limit * abs(row["recorded"])),
+            "difference": (abs(row["value"]), self.limit),
+            "relative": (abs(row["value"]), self.limit * abs(row["recorded"])),
         }[self.kind]
         return bool(value <= limit) if math.isfinite(value) and math.isfinite(limit) else None
 
@@ -121,7 +119,6 @@ class Bar:
     def words(self, found: Verdict) -> str:
         return {
             "alike": "inside its null or within 10 %",
-            "null": "within the null of recordings",
             "p": f"p > {self.limit:g}",
             "auc": f"at most {self.limit:g}",
             "floor": f"at most {self.limit:g} above the floor, {found.floor.estimate:.3g}",
@@ -132,7 +129,7 @@ class Bar:
         }[self.kind]
 
 
-DISTRIBUTIONS = (Bar("duration", "null"), Bar("path_length", "null"))
+DISTRIBUTIONS = (Bar("duration", "alike"), Bar("path_length", "alike"))
 TIME = Bar("seconds", "seconds", 240.0)  # of 500 episodes
 AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), TIME)
 MOTHS = (
@@ -352,8 +349,8 @@ def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[di
     for bar in one.bars:
         if (row := bar.row(found, seconds)) is not None:
             met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found, row)]
-            keys = ("label", "recorded", "simulated", "difference_low", "difference_high",
-                    "distance", "null", "recorded_null", "p", "verdict")  # fmt: skip
+            keys = ("label", "recorded", "simulated", "low", "high", "distance", "null", "p",
+                    "verdict")  # fmt: skip
             rows.append({k: row[k] for k in keys} | {"bar": bar.words(found), "met?": met})
     return rows
 
@@ -424,6 +421,7 @@ def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     if file.exists():
         # A commit may look like a number, and numbers are to stay the same to the last digit.
         earlier = pd.read_csv(file, dtype={"commit": str}, float_precision="round_trip")
+        earlier = earlier.rename(columns={f"difference_{end}": end for end in ("low", "high")})
         cell = ["set", "seed"]
         anew = pd.MultiIndex.from_frame(table[cell])
         kept = earlier[~pd.MultiIndex.from_frame(earlier[cell]).isin(anew)]
@@ -443,14 +441,22 @@ def write(table: pd.DataFrame, out: Path, split: str) -> None:
         table.to_csv(part, index=False)
     found = ", ".join(f"{name} {number}" for name, number in versions().items())
     head = f"# Simulated against recorded, {split} split\n\n    {command}\n\n"
+    made = "; ".join(
+        f"{of} ({', '.join(dict.fromkeys(rows['set']))})"
+        for of, rows in table.groupby("commit", sort=False)
+    )
+    read = READ if split == "test" else ""
     with write_then_rename(out / "faithful.md") as part:
-        part.write_text(f"{head}Commit {commit()}; {found}.\n\n{markdown(table)}\n")
+        part.write_text(
+            f"{head}Commit {commit()}; {found}. Rows are of the commits {made}.{read}\n\n"
+            f"{markdown(table)}\n"
+        )
 
 
 def markdown(table: pd.DataFrame) -> str:
     """One table a group of sets, one line per bar."""
-    columns = ("set", "seed", "label", "recorded", "simulated", "distance", "null",
-               "recorded_null", "verdict", "bar", "met?")  # fmt: skip
+    columns = ("set", "seed", "label", "recorded", "simulated", "distance", "null", "verdict",
+               "bar", "met?")  # fmt: skip
 
     def text(value: Any) -> str:
         if isinstance(value, float):

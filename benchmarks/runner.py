@@ -39,8 +39,8 @@ class Nothing(Piece):
 class Failing(Watch):
     """A piece that fails ends it."""
 
-    def ended(self, piece: Piece, done: Done) -> None:
-        if done.error:
+    def ended(self, piece: Piece, done: Done | None) -> None:
+        if done is not None and done.error:
             raise RuntimeError(done.error)
 
 

@@ -21,9 +21,9 @@ from scipy.special import gammaincinv, ndtr, ndtri
 
 from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.comparison import comparison_table, pair_table, permutation_anova
-from animarl_algos.evaluation.distances import energy_cells
-from animarl_algos.evaluation.exchange_test import Exchanges
+from animarl_algos.evaluation.comparison import comparison_table, pair_table
+from animarl_algos.evaluation.comparison import gate as passed_gate
+from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
 from animarl_algos.evaluation.realism import _over_groups as over_groups
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -31,6 +31,7 @@ from animarl_algos.evaluation.statistics import (
     Draws,
     bootstrap_difference,
     bootstrap_mean,
+    energy_cells,
     margins,
 )
 from animarl_algos.evaluation.windows import Windows, window_features
@@ -289,9 +290,9 @@ def null(experiments: int) -> None:
                 both = np.concatenate([recorded, perfect])
                 both = np.exp(0.7 * both) if kind == "lognormal" else both
                 exchanges = Exchanges.draw(demo, starts, rng, 400)
-                alarms += exchanges.kde(both)[1] <= 0.05
+                alarms += exchange_test(both[:, None], exchanges).p <= 0.05
             rows.append([kind, str(starts), percent(alarms, experiments)])
-    heading = ["values", "starts", "kernel density"]
+    heading = ["values", "starts", "difference of means"]
     show(f"Perfect simulators called different, {experiments:,} experiments", heading, rows)
 
 
@@ -309,11 +310,11 @@ def copies(experiments: int) -> None:
                 both = np.concatenate([recorded, simulated[demo]])
                 exchanges = Exchanges.draw(demo, starts, rng, 400, copies=repeats)
                 kinds = np.digitize(both, [-1.5, 0.0, 1.5])
-                alarms += [exchanges.kde(both)[1] <= 0.05,
+                alarms += [exchange_test(both[:, None], exchanges).p <= 0.05,
                            not exchanges.chi_squared(kinds).inside]  # fmt: skip
             name = "five rollouts" if counted else "one"
             rows.append([name, str(starts), *(percent(n, experiments) for n in alarms)])
-    heading = ["copies count as", "starts", "kernel density", "chi-squared"]
+    heading = ["copies count as", "starts", "difference of means", "chi-squared"]
     show(f"Simulators without chance called different, {experiments:,} experiments", heading, rows)
 
 
@@ -322,7 +323,7 @@ def gate(experiments: int) -> None:
     for sizes in GATES:
         passed, decided = 0, False
         for _ in range(experiments):
-            found = permutation_anova([rng.normal(size=n) for n in sizes], rng, 499)
+            found = passed_gate([rng.normal(size=n) for n in sizes], rng, 499)
             decided = not found.decision.startswith("cannot")
             passed += found.decision == "passed"
         words = percent(passed, experiments) if decided else "cannot be decided"

@@ -11,9 +11,9 @@ from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
 from animarl_algos.report.counterfactual_page import counterfactual_page
-from animarl_algos.report.inputs import CounterfactualInputs, InspectionInputs
-from animarl_algos.report.inspection_page import inspection_page
+from animarl_algos.report.inputs import CounterfactualInputs
 from animarl_algos.report.run_page import run_page
+from animarl_algos.runs.inspecting import Inspected, episode_page
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.species import AGENT
@@ -89,9 +89,7 @@ def report_inputs() -> ReportInputs:
             demos,
             seed=0,
             learner="dqdil",
-            planned_flip=(0, 1),
             resamples=100,
-            distance_resamples=50,
         ),
         species=AGENT,
         settings={"algo": "dqdil", "online": {"alpha": 1.0, "prioritised": True}},
@@ -109,9 +107,7 @@ def report_inputs() -> ReportInputs:
 def bare_inputs(demos: Demonstrations, rollouts: dict[str, Rollouts], **more: Any) -> ReportInputs:
     """A run of which nothing else is known; the first method is the learner."""
     learner = next(iter(rollouts))
-    evaluation = evaluate(
-        rollouts, demos, seed=0, learner=learner, resamples=50, distance_resamples=50
-    )
+    evaluation = evaluate(rollouts, demos, seed=0, learner=learner, resamples=50)
     return ReportInputs(
         **{"title": "x", "learner": learner, **more},
         demos=demos, rollouts=rollouts, evaluation=evaluation,
@@ -171,8 +167,8 @@ def inspected_page() -> str:
     recording = Rollouts.from_demonstrations(demos).select(np.array([episode]))
     steps, rng = int(recording.lengths[0]) - 1, np.random.default_rng(0)
     everything = {recording.method: recording, **rollouts}
-    page = inspection_page(
-        InspectionInputs(
+    page = episode_page(
+        Inspected(
             learner="dqdil",
             episode=episode,
             demos=demos,

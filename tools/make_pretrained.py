@@ -45,7 +45,9 @@ class Printed(Watch):
     def started(self, piece: Piece) -> None:
         print(f"{piece.name} begins", flush=True)
 
-    def ended(self, piece: Piece, done: Done) -> None:
+    def ended(self, piece: Piece, done: Done | None) -> None:
+        if done is None:
+            return
         print(f"{piece.name}: {done.error or f'{done.seconds:.0f} s'}", flush=True)
         if done.error:
             self.failed.append(done.error)

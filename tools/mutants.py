@@ -47,8 +47,7 @@ TARGETS = {
     "animarl_algos/losses/terms.py": ("test_losses.py",),
     "animarl_algos/losses/values.py": ("test_losses.py",),
     "animarl_algos/replay/sequence_kernels.py": ("test_sequence_buffer.py",),
-    "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
-    "animarl_algos/evaluation/distances.py": ("test_distances.py",),
+    "animarl_algos/evaluation/statistics.py": ("test_statistics.py", "test_energy_score.py"),
 }
 
 _BINARY = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Mul", "Mod_Mul")

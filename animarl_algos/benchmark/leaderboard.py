@@ -20,6 +20,7 @@ from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict_rows import OUTCOMES
 from animarl_algos.report.words import NOTHING, number, with_interval
 from animarl_algos.runs.run_files import machine
+from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 
 HOW = """\
@@ -85,12 +86,13 @@ class Board:
         first = next(i for i, key in enumerate(names) if key in compared)
         last = first + len(compared.intersection(names))
         for keys in (names[:first], names[first:last], names[last:]):
-            lines = [["rank", "method", *(known[key] for key in keys)], ["---"] * (2 + len(keys))]
+            lines = []
             for one in sorted(self.scores, key=place):
                 each = f"{one.method} ({len(one.seeds)} × {one.rollouts // len(one.seeds)})"
                 cells = (cell(one, key) for key in keys)
                 lines.append([self.ranks.get(one.method, NOTHING), each, *cells])
-            text += f"\n{_markdown_table(lines)}\n"
+            head = ["rank", "method", *(known[key] for key in keys)]
+            text += f"\n{markdown_table(head, lines)}\n"
         return text
 
 
@@ -165,7 +167,7 @@ def _write_costs(plan: Plan, out: Path, command: str) -> None:
     for row in rows:
         beside = " beside its clone" if row["clone"] else ""
         groups.setdefault(f"{row['data']}/{row['method']}{beside}", []).append(row)
-    lines = [["row", "seeds", "processor time of a seed (s)", "parameters"], ["---"] * 4]
+    lines = []
     for name, some in groups.items():
         seeds = len({row["seed"] for row in some})
         seconds = sum(row["processor_seconds"] for row in some) / seeds
@@ -177,12 +179,9 @@ def _write_costs(plan: Plan, out: Path, command: str) -> None:
     made |= machine() | {"all cells and clones": f"{total:.0f} s of processor time"}
     said = "\n".join(f"- {name}: {value}" for name, value in made.items())
     with write_then_rename(out / "costs.md") as part:
-        table = _markdown_table(lines)
+        head = ("row", "seeds", "processor time of a seed (s)", "parameters")
+        table = markdown_table(head, lines)
         part.write_text(f"# What it cost\n\n{said}\n\n{table}\n", encoding="utf-8")
-
-
-def _markdown_table(lines: Iterable[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:

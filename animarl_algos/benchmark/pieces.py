@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import torch
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from threadpoolctl import threadpool_limits
 
 from animarl_algos.benchmark.methods import (
@@ -388,32 +388,39 @@ def write_json(path: Path, content: Any, *, allow_nan: bool = False) -> None:
         part.write_text(json.dumps(content, indent=1, allow_nan=allow_nan) + "\n")
 
 
-def attempt(piece: Piece, out: Path) -> Done:
+def attempt(piece: Piece, out: Path) -> Done | None:
     """Do a piece of work in one thread; an error is recorded in its folder, and the rest goes on.
 
     Warnings are kept there too: dozens of them would hide the table of what runs.
-    Several commands may be at work in the same results: each piece is done by one of them.
-    Ctrl-C and a signal to end go through.
+    Several commands may be at work in the same results: each piece is done by one of them, and the
+    others get None. Ctrl-C and a signal to end go through.
     """
     folder = piece.folder(out)
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / LOCK):
-        if piece.finished(out):  # by another command, while this one waited
-            return Done(piece.name, 0.0)
-        if lacking := piece.lacks(out):
-            piece.record_error(out, lacking)
-            return Done(piece.name, 0.0, lacking)
-        began, said = time.monotonic(), ""
-        (folder / ERROR).unlink(missing_ok=True)
-        try:
-            with threadpool_limits(1), warnings.catch_warnings(record=True) as warned:
-                piece.perform(out)
-        except Exception as error:  # a failing cell is one line of the results, whatever failed
-            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-            said = one_line(f"{kind}{error}")
-            piece.record_error(out, said, traceback.format_exc())
-        else:
-            if warned:
-                write_json(folder / "warnings.json", [str(one.message) for one in warned])
-        return Done(piece.name, time.monotonic() - began, said)
+    try:
+        with FileLock(folder / LOCK, timeout=0):
+            return _locked_attempt(piece, out, folder)
+    except Timeout:
+        return None
+
+
+def _locked_attempt(piece: Piece, out: Path, folder: Path) -> Done:
+    if piece.finished(out):  # by another command, before this one looked
+        return Done(piece.name, 0.0)
+    if lacking := piece.lacks(out):
+        piece.record_error(out, lacking)
+        return Done(piece.name, 0.0, lacking)
+    began, said = time.monotonic(), ""
+    (folder / ERROR).unlink(missing_ok=True)
+    try:
+        with threadpool_limits(1), warnings.catch_warnings(record=True) as warned:
+            piece.perform(out)
+    except Exception as error:  # a failing cell is one line of the results, whatever failed
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+        said = one_line(f"{kind}{error}")
+        piece.record_error(out, said, traceback.format_exc())
+    else:
+        if warned:
+            write_json(folder / "warnings.json", [str(one.message) for one in warned])
+    return Done(piece.name, time.monotonic() - began, said)

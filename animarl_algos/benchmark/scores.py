@@ -19,20 +19,22 @@ from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.distances import FEW_ROLLOUTS, energy_cells, pooled_score
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric, MetricInputs
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
+    FEW_ROLLOUTS,
     Draws,
     Interval,
     bootstrap_difference,
     bootstrap_mean,
     cells,
     covers,
-    interval,
+    energy_cells,
+    pooled_score,
     single_cells,
+    told_by,
 )
 from animarl_algos.evaluation.verdict import summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
@@ -166,17 +168,12 @@ def _score(
         }  # fmt: skip
 
     for _, row in found.table.iterrows():
-        value, null, same = interval(row, "difference"), row["null"], row["judgement"] == SAME
-        if row["measure"] == OUTCOMES:
-            value = Interval(row["distance"], reason="a test: no interval")
-        elif row["measure"] in (AUC, SEQUENCE):
-            among = found.areas[row["measure"]]["among"]
-            value, null = found.area(row["measure"]), among.high
-            # Over all folds each recording stands on one side itself and on the other as another's:
-            # a classifier would learn to call it by the side on which it met it.
-            if others is None and rollouts.method == RECORDINGS:
-                value, same = among, True
-        put(row["measure"], value, null, bool(same), row["unit"], row["p"])
+        value, same = told_by(row), bool(row["judgement"] == SAME)
+        # Over all folds each recording stands on one side itself and on the other as another's: a
+        # classifier would learn to call it by the side on which it met it.
+        if row["measure"] in found.areas and others is None and rollouts.method == RECORDINGS:
+            value, same = found.areas[row["measure"]]["among"], True
+        put(row["measure"], value, row["null"], same, row["unit"], row["p"])
     others_score = found.realism_beside.get(OTHERS, math.nan)
     put(REALISM, found.realism, others_score, found.realism.estimate >= others_score)
     drawn, true = (

@@ -1,186 +1,96 @@
-"""Submissions: somebody's rollouts as one JSON, checked and scored without running their code.
+"""Submissions: somebody's rollouts, checked and scored without running their code.
 
-    {"format": "animarl-submission", "version": 1, "method": "mine", "species": "agent",
-     "fingerprint": "...", "episodes": 100,
-     "rollouts": [{"demo": 0, "seed": 0, "repetition": 0, "outcome": 1,
-                   "positions": [[[x, y], ... one per individual], ... one per frame]}, ...]}
-
-``demo`` counts the packaged test episodes, whose fingerprint it gives. Positions are in the arena
-frame [arena unit], from the recorded start on; the outcome is checked against the last of them, the
-steps between them against how fast the species is, and all of them against the recording.
+A submission is a file of rollouts as every run holds them (``runs/mine/rollouts/*.npz``), or as
+:meth:`~animarl_algos.evaluation.rollouts.Rollouts.save` writes them: positions in the arena frame
+[arena unit] from the start of a packaged test episode on, which ``demo`` counts. The outcome is
+checked against the last positions, the steps between them against how fast the species is, and all
+of them against the recording.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.pieces import write_json
 from animarl_algos.benchmark.scores import Score, score
-from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
+from animarl_algos.evaluation.prepared import factual
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_envs.checks import printable
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
-from animarl_envs.files import refuse_special
 from animarl_envs.locomotion import residual
 from animarl_envs.species import get_species
 
-FORMAT, VERSION = "animarl-submission", 1
-HEAD = ("format", "version", "method", "species", "fingerprint", "episodes", "rollouts")
-OF_EACH = ("demo", "seed", "repetition", "outcome", "positions")
-LARGEST = 512 * 2**20  # [bytes]
 SLACK = 0.02  # of the contact radius, for rounded positions
 PUSHES = 4.0  # times the thrust: a fit of many magnitudes has more than twice the one of a single
 
 
-def score_submission(path: str | Path, *, resamples: int = RESAMPLES) -> Score:
-    """Check a submission and measure it against the packaged test split.
+def score_submission(path: str | Path, species: str, *, resamples: int = RESAMPLES) -> Score:
+    """Check a submission and measure it against the packaged test split of ``species``.
 
     InputError names the rollout that is not from a test start, or could not have been made.
     """
-    path = Path(path)
-    rollouts, demos = read_submission(path)
-    return replace(score(rollouts, demos, resamples=resamples), data=demos.species, kind="method")
+    rollouts, demos = read_submission(Path(path), species)
+    return replace(score(rollouts, demos, resamples=resamples), data=species, kind="method")
 
 
-def read_submission(path: Path) -> tuple[Rollouts, Demonstrations]:
-    """The rollouts of a file, and the packaged demonstrations, all splits, that they are of."""
-    content = _content(path)
-    name = content["species"]
-    if name not in packaged_names():
+def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]:
+    """The rollouts of a file, and the packaged demonstrations, all splits, that they are of.
+
+    Only rollouts in the recorded condition, told no other one, count.
+    """
+    if species not in packaged_names():
         raise InputError(
-            f"{path}: species is {_short(name)}: choose among {', '.join(packaged_names())}"
+            f"--species {printable(species)}: choose among {', '.join(packaged_names())}"
         )
-    demos = load_packaged(name)
+    made, demos = Rollouts.load(path), load_packaged(species)
     test = demos.select(split="test")
-    if content["fingerprint"] != test.fingerprint():
+    for key in ("individuals", "roles", "dt"):
+        if getattr(made, key) != getattr(test, key):
+            raise InputError(
+                f"{path}: its {key} ({getattr(made, key)}) are not those of {species} "
+                f"({getattr(test, key)}): name the species that was rolled out"
+            )
+    if made.demo.min() < 0 or made.demo.max() >= len(test):
+        wrong = int(np.flatnonzero((made.demo < 0) | (made.demo >= len(test)))[0])
         raise InputError(
-            f"{path}: its fingerprint is {_short(content['fingerprint'])} and that of the packaged "
-            f"test split {test.fingerprint()}: roll out from the starts of this version"
+            f"{path}: rollout {wrong}: demo is {made.demo[wrong]}: there are 0 to {len(test) - 1}"
         )
-    listed = content["rollouts"]
-    if not isinstance(listed, list) or content["episodes"] != len(listed):
-        held = len(listed) if isinstance(listed, list) else "no list of"
-        raise InputError(
-            f"{path}: it claims {_short(content['episodes'])} episodes and holds {held} rollouts: "
-            "give every one"
-        )
-    if not listed:
-        raise InputError(f"{path}: it holds no rollout: give one for each test start at least")
-    fastest = float(np.linalg.norm(demos.velocities(), axis=2).max()) * demos.dt
-    widest = float(np.abs(demos.positions).max())
-    paths = []
-    for i, one in enumerate(listed):
-        place = f"{path}: rollout {i}"
-        positions = _checked(one, place, test)
-        _check_moves(positions, place, test, fastest, widest)
-        _check_made(positions, one["demo"], place, test)
-        _check_outcome(one["outcome"], positions, place, test)
-        paths.append(positions)
-    columns = {key: np.array([one[key] for one in listed]) for key in OF_EACH[:-1]}
-    keys = set(zip(*(columns[key].tolist() for key in OF_EACH[:3])))
-    if len(keys) < len(listed):
+    made = factual(made, test)
+    if len(set(zip(made.demo.tolist(), made.seed.tolist(), made.repetition.tolist()))) < len(made):
         raise InputError(
             f"{path}: two rollouts have the same demo, seed and repetition: count repetitions up"
         )
-    if missing := set(range(len(test))) - set(columns["demo"].tolist()):
+    if missing := set(range(len(test))) - set(made.demo.tolist()):
         raise InputError(f"{path}: no rollout is from test episode {min(missing)}: leave none out")
-    made = Rollouts(
-        method=printable(content["method"]),
-        individuals=test.individuals,
-        roles=test.roles,
-        dt=test.dt,
-        positions=np.concatenate(paths),
-        lengths=np.array([len(one) for one in paths]),
-        outcome=columns["outcome"],
-        condition=test.condition[columns["demo"]],
-        cue=np.full(len(paths), NO_CUE),
-        demo=columns["demo"],
-        seed=columns["seed"],
-        repetition=columns["repetition"],
-    )
-    return made, demos
+    fastest = float(np.linalg.norm(demos.velocities(), axis=2).max()) * demos.dt
+    widest = float(np.abs(demos.positions).max())
+    for i, demo in enumerate(made.demo.tolist()):
+        place, positions = f"{path}: rollout {i}", made.path(i)
+        _check_start(positions, demo, place, test)
+        _check_moves(positions, place, test, fastest, widest)
+        _check_made(positions, demo, place, test)
+        _check_outcome(int(made.outcome[i]), positions, place, test)
+    return replace(made, method=printable(made.method)), demos
 
 
-def write_submission(rollouts: Rollouts, species: str, path: str | Path) -> Path:
-    """Rollouts from the packaged test starts of ``species`` as a submission."""
-    listed = [
-        {key: int(getattr(rollouts, key)[i]) for key in OF_EACH[:-1]}
-        | {"positions": rollouts.path(i).tolist()}
-        for i in range(len(rollouts))
-    ]
-    fingerprint = load_packaged(species).select(split="test").fingerprint()
-    write_json(
-        Path(path),
-        {
-            "format": FORMAT, "version": VERSION, "method": rollouts.method, "species": species,
-            "fingerprint": fingerprint, "episodes": len(listed), "rollouts": listed,
-        },
-    )  # fmt: skip
-    return Path(path)
-
-
-def _content(path: Path) -> Mapping[str, Any]:
-    """The table in the file, all keys there and no others."""
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file: name a submission")
-    refuse_special(path)
-    if path.stat().st_size > LARGEST:
-        raise InputError(f"{path}: it is larger than {LARGEST // 2**20} MiB: give fewer rollouts")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: it is no valid JSON ({error}): write it again") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path}: it is no submission: its format must be {FORMAT!r}")
-    if content.get("version") != VERSION:
-        raise InputError(
-            f"{path}: its version is {_short(content.get('version'))}: write version {VERSION}"
-        )
-    _same_keys(content, HEAD, str(path))
-    if not isinstance(content["method"], str) or not 1 <= len(content["method"]) <= 200:
-        raise InputError(f"{path}: method is no name of 1 to 200 characters: give one")
-    return content
-
-
-def _checked(one: Any, place: str, test: Demonstrations) -> NDArray[np.float64]:
-    """The positions ``(frames, individuals, 2)`` of a rollout from one of the test starts."""
-    if not isinstance(one, dict):
-        raise InputError(f"{place}: it is no table: give {', '.join(OF_EACH)}")
-    _same_keys(one, OF_EACH, place)
-    for key in OF_EACH[:-1]:
-        if type(one[key]) is not int or (key != "outcome" and not 0 <= one[key] < 2**31):
-            raise InputError(f"{place}: {key} is {_short(one[key])}: give a whole number")
-    if one["demo"] >= len(test):
-        raise InputError(f"{place}: demo is {one['demo']}: there are 0 to {len(test) - 1}")
+def _check_start(path: NDArray[np.float64], demo: int, place: str, test: Demonstrations) -> None:
+    """As many frames as an episode may have, from where the recording began."""
     species = get_species(test.species)
-    most, number = species.time_limit + 1, len(test.individuals)
-    try:
-        path = np.array(one["positions"])
-    except (ValueError, TypeError, OverflowError):
-        path = np.zeros(0)
-    if path.dtype.kind not in "if":
-        raise InputError(f"{place}: positions are not all numbers: see to them")
-    path = path.astype(np.float64)
-    if path.ndim != 3 or path.shape[1:] != (number, 2) or not 2 <= len(path) <= most:
+    if not 2 <= len(path) <= species.time_limit + 1:
         raise InputError(
-            f"{place}: positions are not (frames, {number}, 2) with 2 to {most} frames: see to them"
+            f"{place}: it has {len(path)} frames, and an episode 2 to {species.time_limit + 1}: "
+            "give every frame"
         )
-    if not np.isfinite(path).all():
-        raise InputError(f"{place}: a position is not a finite number: see to it")
-    start = test.positions[test.offsets[one["demo"]]]
+    start = test.positions[test.offsets[demo]]
     if np.abs(path[0] - start).max() > SLACK * species.contact_radius:
-        raise InputError(f"{place}: it does not begin where test episode {one['demo']} began")
-    return path
+        raise InputError(f"{place}: it does not begin where test episode {demo} began")
 
 
 def _check_moves(
@@ -274,15 +184,3 @@ def _check_made(path: NDArray[np.float64], demo: int, place: str, test: Demonstr
             f"{place}: it is the recording of test episode {demo} itself, frame by frame: "
             "give what the method did from its start"
         )
-
-
-def _same_keys(content: Mapping[str, Any], keys: tuple[str, ...], place: str) -> None:
-    if missing := [key for key in keys if key not in content]:
-        raise InputError(f"{place}: {missing[0]} is missing: give it")
-    if more := [key for key in content if key not in keys]:
-        raise InputError(f"{place}: key {_short(more[0])} is unknown: leave it out")
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -18,7 +18,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from animarl_algos.benchmark.engine import RayWorkers, Watch, Workers, perform_all
+from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
 from animarl_algos.benchmark.matrix import (
     Plan,
@@ -35,7 +35,6 @@ from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_envs.errors import InputError
 from animarl_envs.species import species_name
 
-ENGINES = ("local", "ray")
 STAGES = ("worlds", "clones", "cells", "scores")
 MOST_NAMES = 4  # of pieces that run, in a line
 
@@ -50,9 +49,7 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
     species="Only these of the matrix; repeatable.",
     only="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'.",
     method="Your own method, NAME=module:factory; repeatable.",
-    engine="local: processes of this machine; ray: tasks of a Ray cluster.",
-    processes="Number of processes of engine local, one thread each.",
-    address="Address of the Ray cluster; auto: RAY_ADDRESS, or a cluster on this machine.",
+    processes="Number of processes, one thread each.",
     show=typer.Option("--list", help="List what would be done, and stop."),
 )
 def benchmark_command(
@@ -63,14 +60,13 @@ def benchmark_command(
     species: list[str] | None = None,
     only: list[str] | None = None,
     method: list[str] | None = None,
-    engine: str = "local",
     processes: int = 1,
-    address: str = "auto",
     show: bool = False,
 ) -> None:
     """Train, roll out and score every method on every species with every seed.
 
-    The same command continues a benchmark that was stopped; finished cells are not run again. If
+    The same command continues a benchmark that was stopped; finished cells are not run again. Given
+    on several machines that share --out, they share the work. If
     something failed, the exit code is 1, and the leaderboard is written without it.
 
     Examples:
@@ -81,14 +77,10 @@ def benchmark_command(
 
       animarl benchmark --preset short --only 'fly/*' --method mine=my_module:make
 
-      animarl benchmark --preset paper --engine ray --out shared/bench
-
-      animarl benchmark score submission.json
+      animarl benchmark score mine.npz --species agent
     """
     if context.invoked_subcommand is not None:
         return
-    if engine not in ENGINES:
-        raise InputError(f"engine {engine!r} is unknown: choose {', '.join(ENGINES)}")
     if processes < 1:
         raise InputError(f"processes is {processes}: it must be at least 1")
     matrix = read_matrix(preset, config)
@@ -111,7 +103,7 @@ def benchmark_command(
         console.print(_listing(asked, out))
         return
     watch = Shown(asked, out, console)
-    with RayWorkers(address) if engine == "ray" else Workers(processes) as workers:
+    with Workers(processes) as workers:
         claim_folder(out)
         with watch.progress:
             perform_all(asked.pieces, out, workers, watch)
@@ -124,15 +116,18 @@ def benchmark_command(
 
 
 @app.command("score")
-@helps(file="A submission: one JSON with rollouts.")
-def score_command(file: Path) -> None:
+@helps(
+    file="A file of rollouts, .npz.",
+    species=typer.Option(help="The packaged species that was rolled out."),
+)
+def score_command(file: Path, species: str) -> None:
     """Check and score a file of rollouts; no code of its author is run.
 
     Example:
 
-      animarl benchmark score submission.json
+      animarl benchmark score runs/mine/rollouts/BC.npz --species agent
     """
-    found = score_submission(file)
+    found = score_submission(file, species)
     console = PlainConsole(least_width=100)
     table = Table(title=f"{found.method} on {found.data}: {found.words}")
     for heading in ("measure", "value [95 % interval]", "null", "remark"):
@@ -147,10 +142,7 @@ def score_command(file: Path) -> None:
 
 
 class Shown(Watch):
-    """How far each stage is, what failed, what runs, and about how long it will take.
-
-    A Ray cluster does not tell what it has begun: all that was handed over is called running.
-    """
+    """How far each stage is, what failed, what runs, and about how long it will take."""
 
     def __init__(self, asked: Plan, out: Path, console: Console) -> None:
         self.failed: list[tuple[Piece, str]] = []
@@ -169,8 +161,11 @@ class Shown(Watch):
         self._running.append(piece.name)
         self._say(piece)
 
-    def ended(self, piece: Piece, done: Done) -> None:
+    def ended(self, piece: Piece, done: Done | None) -> None:
         self._running.remove(piece.name)
+        if done is None:
+            self._say(piece)
+            return
         if done.error:
             self.failed.append((piece, done.error))
         else:

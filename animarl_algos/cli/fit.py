@@ -284,7 +284,7 @@ def _compare_thrusts(
 
     Also says which number ``animarl run`` chooses, among those that it tries.
     """
-    from animarl_algos.evaluation.thrust_choice import thrusts_and_reason, tracking_floor
+    from animarl_algos.evaluation.thrust_choice import choose_thrusts, tracking_floor
 
     seen = demos if split is None else demos.select(split=split)
     fits = [
@@ -313,7 +313,7 @@ def _compare_thrusts(
     )
     console.print(_table(f"Thrust magnitudes of {seen.species}", caption, rows, THRUST_COLUMNS))
     if len(numbers) > 1:
-        best, reason = thrusts_and_reason(demos, seed=seed)
+        best, reason = choose_thrusts(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")
     return fits, [row | {"magnitudes": " ".join(map(str, row["magnitudes"]))} for row in rows]
 

@@ -297,11 +297,10 @@ class Judge:
             label=self.label,
             recorded=among.estimate,
             simulated=auc.estimate,
-            difference=auc.estimate - 0.5,
-            difference_low=auc.low - 0.5,
-            difference_high=auc.high - 0.5,
-            distance=abs(auc.estimate - 0.5),
-            null=abs(among.high - 0.5),
+            value=auc.estimate,
+            low=auc.low,
+            high=auc.high,
+            null=among.high,
         )
         if not math.isfinite(auc.low):
             words = f"{UNKNOWN}: {auc.reason}" if auc.reason else UNKNOWN

@@ -101,6 +101,9 @@ def collect_rollouts(
 ) -> Rollouts:
     """Let ``policy`` drive all individuals from the start of every demonstration of the world.
 
+    Raises InputError if the world has no demonstrations to start from, ``repetitions`` is not
+    positive, or the policy learned in a world of other thrust magnitudes.
+
     Parameters
     ----------
     make_world
@@ -126,12 +129,6 @@ def collect_rollouts(
         Seeds the policy's own randomness before each batch of rollouts, from ``seed`` and the batch
         alone: the same policy then meets the same random numbers whatever it is told, so that two
         answers differ by the cue and by nothing else.
-
-    Raises
-    ------
-    InputError
-        If the world has no demonstrations to start from, ``repetitions`` is not positive, or the
-        policy learned in a world of other thrust magnitudes.
     """
     if repetitions < 1:
         raise InputError(f"repetitions is {repetitions}: collect at least one rollout per start")

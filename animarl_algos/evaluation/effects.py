@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from animarl_algos.evaluation.metrics import PATH_LENGTH, Metric, MetricInputs
-from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, Rollouts
+from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
     CONFIDENCE,
     RESAMPLES,
@@ -87,18 +87,6 @@ class Effects:
 
     table: pd.DataFrame
     claims: pd.DataFrame
-
-
-def answers_of(rollouts: Rollouts, demos: Demonstrations) -> Asked | None:
-    """Return what a method was asked, of all its rollouts; None if no cue was flipped."""
-    own = demos.condition[rollouts.demo]
-    told = np.where(rollouts.cue == NO_CUE, rollouts.condition, rollouts.cue)
-    here = rollouts.condition == own
-    factual, flipped, world = here & (told == own), here & (told != own), ~here & (told != own)
-    if not (factual.any() and flipped.any()):
-        return None
-    trained = Answers(rollouts.select(factual), rollouts.select(flipped))
-    return Asked(trained=trained, world=rollouts.select(world) if world.any() else None)
 
 
 def cue_effects(

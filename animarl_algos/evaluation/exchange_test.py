@@ -21,14 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.distances import kde_distances
-from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
-    Floats,
-    Interval,
-    Ints,
-    percentile_interval,
-)
+from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.errors import InputError
 
 EXCHANGES = 1000
@@ -106,38 +99,19 @@ class Exchanges:
             simulated[rows, members[chosen]] = 0.0
         return cls(recorded, simulated)
 
-    def kde(self, values: ArrayLike) -> tuple[Interval, float]:
-        """Mean and central 95 % of the null, and p, of the kernel-density distance.
-
-        ``values`` ``(episodes,)`` may be NaN where an episode does not count.
-        """
-        values = np.asarray(values, dtype=np.float64)
-        counts = np.isfinite(values)
-        known, sides = values[counts], [side[:, counts] for side in self._sides]
-        if not counts.any() or min(side[0].sum() for side in sides) == 0:
-            return UNDEFINED, math.nan
-        drawn = kde_distances(known, sides[0], known, sides[1])
-        null = drawn[1:][np.isfinite(drawn[1:])]
-        mean = float(null.mean()) if len(null) else math.nan
-        p = Tested.of(np.concatenate([drawn[:1], null])).p
-        return percentile_interval(mean, drawn[1:]), p
-
     def chi_squared(self, category: ArrayLike) -> Tested:
         """Pearson's statistic of categories by recorded and simulated, however small the counts."""
         category = np.asarray(category)
-        sizes = [side.sum(axis=1) for side in self._sides]
+        sides = self.simulated, self.recorded
+        sizes = [side.sum(axis=1) for side in sides]
         total = np.zeros(len(self.recorded))
         for one in np.unique(category):
-            counts = [side @ (category == one) for side in self._sides]
+            counts = [side @ (category == one) for side in sides]
             share = sum(counts) / sum(sizes)
             for count, size in zip(counts, sizes):
                 with np.errstate(invalid="ignore", divide="ignore"):
                     total += np.where(share > 0, (count - size * share) ** 2 / (size * share), 0.0)
         return Tested.of(total)
-
-    @property
-    def _sides(self) -> tuple[Floats, Floats]:
-        return self.simulated, self.recorded
 
 
 @dataclass(frozen=True)

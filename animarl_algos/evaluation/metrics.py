@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.order_in_time import (
+    MEASURES,
     EpisodeMeasures,
     angle,
     lags_for,
@@ -152,7 +153,7 @@ class Metric:
     of_recordings
         Recordings have it too. False: it is itself a comparison with them.
     planned
-        The planned contrasts are worked out for it.
+        Planned pairs of methods have a gate by it.
     caption, heading
         Of its figure in the report, and of its column in the terminal; not shown there without.
     compared, judged, on_board
@@ -291,12 +292,11 @@ def _ended(key: str, label: str, end: int, much: str, little: str) -> Metric:
     )  # fmt: skip
 
 
-def _of_order(
-    key: str, name: str, unit: str, about: str, much: str, little: str, label: str = ""
-) -> Metric:
+def _of_order(key: str, name: str, about: str, label: str = "") -> Metric:
     """A measure of order in time that has a row of its own where it is what matters."""
+    one = MEASURES[name]
     return _of_verdict(
-        key, label or name[:1].upper() + name[1:], unit, _order_of(name), much, little,
+        key, label or name[:1].upper() + name[1:], one.unit, _order_of(name), one.much, one.little,
         about=about, of_order=name,
     )  # fmt: skip
 
@@ -328,28 +328,17 @@ METRICS = [
                 "stands still too often", "stands still too rarely", share=True),
     _of_verdict("turning", "Turning", "rad/s", lambda e: e.motion[3],
                 "turns too much", "turns too little"),
-    _of_order("nearest_neighbour", "nearest neighbour", ARENA_UNITS, GROUP,
-              "keep too far apart", "keep too close"),
-    _of_order("near_neighbour", "5 % nearest neighbour", ARENA_UNITS, GROUP,
-              "do not come close enough", "come too close", "Nearest neighbour, 5 % quantile"),
-    _of_order("extent", "extent of the group", ARENA_UNITS, GROUP,
-              "spread too wide", "crowd too much"),
-    _of_order("polarisation", "polarisation", "", GROUP,
-              "align too much", "align too little"),
-    _of_order("milling", "milling", "", GROUP,
-              "circle too much about their centre", "circle too little about their centre"),
-    _of_order("leadership_lag", "leadership lag", "s", GROUP,
-              "turn too long after each other", "turn too soon after each other"),
-    _of_order("speed_correlation", "speed with the others", "", GROUP,
-              "change speed too much together", "change speed too much alone",
-              "Speed correlation"),
-    _of_order("displacement", "displacement in", ARENA_UNITS, ANIMAL,
-              "gets too far", "does not get far enough"),
-    _of_order("turn_autocorrelation", "turn autocorrelation at", "", ANIMAL,
-              "walks in circles", "forgets its turns too soon"),
-    _of_order("bouts", "length of bouts of motion", "s", ANIMAL,
-              "moves too long at a time", "moves too briefly at a time"),
-    _of_order("rests", "length of rests", "s", ANIMAL, "rests too long", "rests too briefly"),
+    _of_order("nearest_neighbour", "nearest neighbour", GROUP),
+    _of_order("near_neighbour", "5 % nearest neighbour", GROUP, "Nearest neighbour, 5 % quantile"),
+    _of_order("extent", "extent of the group", GROUP),
+    _of_order("polarisation", "polarisation", GROUP),
+    _of_order("milling", "milling", GROUP),
+    _of_order("leadership_lag", "leadership lag", GROUP),
+    _of_order("speed_correlation", "speed with the others", GROUP, "Speed correlation"),
+    _of_order("displacement", "displacement in", ANIMAL),
+    _of_order("turn_autocorrelation", "turn autocorrelation at", ANIMAL),
+    _of_order("bouts", "length of bouts of motion", ANIMAL),
+    _of_order("rests", "length of rests", ANIMAL),
 ]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
 
@@ -447,10 +436,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
     are of one method, ``rollouts.demo`` counts the episodes of ``demos``. The DTW distance is that
     to the same individual of the demonstration, so zero for the recordings.
 
-    Raises
-    ------
-    InputError
-        If the rollouts are not of these demonstrations.
+    Raises InputError if the rollouts are not of these demonstrations.
     """
     import pandas as pd
 

@@ -8,7 +8,7 @@ left. A measure that an episode is too short for is NaN.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,14 +28,81 @@ LEAD, DELAYS = 2.0, 10  # by which an animal may lead [s]; delays that are tried
 ROUNDING = 1e-24  # variance that is rounding alone: of a constant speed, which correlates with none
 NEAR_WALL = 0.1  # of the arena's size: so near a wall counts as being at it
 KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
-UNITS = {
-    "speed gained": "", "speed auto": "", "speed with": "", "speed ahead": "", "speed before": "",
-    "speed": "arena units / s", "spread of speed": "arena units / s", "turning": "rad / s",
-    "windings": "1 / s", "length of": "s", "longest rest": "s", "leadership": "s",
-    "displacement": "arena units", "distance": "arena units", "extent": "arena units",
-    "nearest": "arena units", "spread of the nearest": "arena units", "5 % nearest": "arena units",
+LENGTH, SPEED, RATE = "arena units", "arena units/s", "rad/s"
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is measured, and what is said of it.
+
+    ``much`` and ``little`` are what the verdict says where rollouts have more of it, or less; where
+    they are empty, its name with *too high* and *too low*. What has no ``unit`` may be zero.
+    ``whole``: it stands for whole episodes in the realism score, as do all measures of order.
+    """
+
+    name: str
+    kind: str
+    unit: str = ""
+    much: str = ""
+    little: str = ""
+    whole: bool = False
+
+    def words(self, more: bool) -> str:
+        """Return what the verdict says."""
+        said = self.much if more else self.little
+        return said or f"{self.name} too {'high' if more else 'low'}"
+
+
+MEASURES = {
+    one.name: one
+    for one in (
+        Measure("speed", KINEMATIC, SPEED),
+        Measure("spread of speed", KINEMATIC, SPEED),
+        Measure("share at rest", KINEMATIC, "", "rests too much", "rests too little"),
+        Measure("turning", KINEMATIC, RATE, "turns too much", "turns too little"),
+        Measure("turning to the left", KINEMATIC, RATE,
+                "turns too much to the left", "turns too much to the right"),
+        Measure("spread of speed between animals", KINEMATIC, SPEED),
+        Measure("skewness of acceleration", ORDER, "",
+                "starts too abruptly", "stops too abruptly"),
+        Measure("length of bouts of motion", ORDER, "s",
+                "moves too long at a time", "moves too briefly at a time"),
+        Measure("length of rests", ORDER, "s", "rests too long", "rests too briefly"),
+        Measure("speed gained late", ORDER, "", "slows down too little", "slows down too much"),
+        Measure("longest rest", ORDER, "s", "rests too long", "rests too briefly"),
+        Measure("windings", ORDER, "1/s", "walks in circles", "winds too little"),
+        Measure("displacement in", ORDER, LENGTH, "gets too far", "does not get far enough"),
+        Measure("speed autocorrelation at", ORDER, "",
+                "keeps its speed too long", "forgets its speed too soon"),
+        Measure("turn autocorrelation at", ORDER, "",
+                "walks in circles", "forgets its turns too soon"),
+        Measure("speed before turn", ORDER, "",
+                "turns too much after speed", "turns too little after speed"),
+        Measure("course towards the focus", INTERACTIVE, "",
+                "heads too straight for its focus", "heads too little for it"),
+        Measure("course to the left of the focus", INTERACTIVE),
+        Measure("nearest neighbour", INTERACTIVE, LENGTH, "keeps too far apart", "keeps too close"),
+        Measure("spread of the nearest neighbour", INTERACTIVE, LENGTH),
+        Measure("5 % nearest neighbour", INTERACTIVE, LENGTH,
+                "do not come close enough", "come too close"),
+        Measure("polarisation", INTERACTIVE, "", "align too much", "align too little", whole=True),
+        Measure("speed with the others", INTERACTIVE, "",
+                "change speed too much together", "change speed too much alone", whole=True),
+        Measure("speed ahead of the others", INTERACTIVE, whole=True),
+        Measure("extent of the group", INTERACTIVE, LENGTH,
+                "spread too wide", "crowd too much", whole=True),
+        Measure("milling", INTERACTIVE, "", "circle too much about their centre",
+                "circle too little about their centre", whole=True),
+        Measure("leadership lag", INTERACTIVE, "s", "turn too long after each other",
+                "turn too soon after each other", whole=True),
+        Measure("distance from the start", PLACE, LENGTH),
+        Measure("distance from the source", PLACE, LENGTH),
+        Measure("distance from the wall", PLACE, LENGTH),
+        Measure("share at the wall", PLACE, "",
+                "keeps too much to the wall", "keeps too little to the wall"),
+    )
 }  # fmt: skip
-"""Units by how the name of a measure begins, the first that fits; all others have none."""
+"""By name; the names of those at several lags end in *in* or *at*."""
 
 
 @dataclass(frozen=True)
@@ -125,12 +192,19 @@ def angle(first: Floats, second: Floats) -> Floats:
 class EpisodeMeasures:
     """Measures of episodes, ``values`` ``(episodes, measures)``.
 
-    ``names`` hold the individual where there are several; ``kinds`` are constants of this module.
+    The names of ``measures`` hold the lag, and the individual where there are several.
     """
 
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
+    measures: tuple[Measure, ...]
     values: Floats
+
+    @property
+    def names(self) -> list[str]:
+        return [one.name for one in self.measures]
+
+    @property
+    def kinds(self) -> list[str]:
+        return [one.kind for one in self.measures]
 
     def column(self, name: str) -> Floats:
         """Return the measure of that name of every episode, ``(episodes,)``."""
@@ -140,11 +214,6 @@ class EpisodeMeasures:
         """Means over episodes of those measures whose name begins so."""
         chosen = [one.startswith(name) for one in self.names]
         return _mean(self.values[:, chosen], axis=0)
-
-
-def unit_of_measure(name: str) -> str:
-    """Return the unit of a measure of this module, empty where it has none."""
-    return next((unit for begins, unit in UNITS.items() if name.startswith(begins)), "")
 
 
 def lags_for(steps: float, dt: float) -> tuple[int, ...]:
@@ -182,7 +251,7 @@ def order_measures(
         one, places are not measured.
     """
     parts = []
-    found: list[tuple[str, str, Floats]] = []
+    found: list[tuple[str, Floats]] = []
     with np.errstate(invalid="ignore", divide="ignore"):
         for series in Series.of(rollouts, rest):
             found = [*_motion(series, rollouts.dt, lags)]
@@ -190,71 +259,71 @@ def order_measures(
             found += () if alone else _interactions(series, lags[0])
             if alone or rollouts.is_group:
                 rests = _bouts(~series.moving, np.isfinite(series.speed))
-                found.append(("length of rests", ORDER, rests * rollouts.dt))
+                found.append(("length of rests", rests * rollouts.dt))
             found += _places(series, arena, rollouts.has_goal) if arena is not None else ()
             if rollouts.is_group:
                 own = np.nanstd(_mean(series.speed), axis=1, keepdims=True)
-                found = [(name, kind, _mean(values)[:, None]) for name, kind, values in found]
-                found.append(("spread of speed between animals", KINEMATIC, own))
+                found = [(name, _mean(values)[:, None]) for name, values in found]
+                found.append(("spread of speed between animals", own))
                 found += _groups(series, rollouts.dt, lags[-1])
-            parts.append(np.concatenate([values for _, _, values in found], axis=1))
-    names, kinds = [], []
-    for name, kind, values in found:
+            parts.append(np.concatenate([values for _, values in found], axis=1))
+    measures = []
+    for name, values in found:
+        measure = MEASURES.get(name) or MEASURES[name.rsplit(" ", 2)[0]]  # at a lag
         who = rollouts.individuals if values.shape[1] > 1 else ("",)
-        names += [f"{name}, {individual}" if individual else name for individual in who]
-        kinds += [kind] * values.shape[1]
-    return EpisodeMeasures(tuple(names), tuple(kinds), np.concatenate(parts))
+        measures += [replace(measure, name=f"{name}, {one}" if one else name) for one in who]
+    return EpisodeMeasures(tuple(measures), np.concatenate(parts))
 
 
-def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[str, str, Floats]]:
-    """Name, kind and values ``(episodes, individuals)`` or ``(episodes, 1)`` of each measure."""
+def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[str, Floats]]:
+    """Name and values ``(episodes, individuals)`` or ``(episodes, 1)`` of each measure."""
     speed, turn = series.speed, series.turn
     acceleration = np.diff(speed, axis=1) / dt
-    yield "speed", KINEMATIC, _mean(speed)
-    yield "spread of speed", KINEMATIC, _spread(speed)
-    yield "share at rest", KINEMATIC, _share(~series.moving, np.isfinite(speed))
-    yield "turning", KINEMATIC, _mean(np.abs(turn)) / dt
-    yield "turning to the left", KINEMATIC, _mean(turn) / dt
-    yield "skewness of acceleration", ORDER, _skewness(acceleration)
-    yield "length of bouts of motion", ORDER, _bouts(series.moving, np.isfinite(speed)) * dt
-    yield "speed gained late", ORDER, _gained(speed)
-    yield "longest rest", ORDER, _longest(~series.moving & np.isfinite(speed)) * dt
+    yield "speed", _mean(speed)
+    yield "spread of speed", _spread(speed)
+    yield "share at rest", _share(~series.moving, np.isfinite(speed))
+    yield "turning", _mean(np.abs(turn)) / dt
+    yield "turning to the left", _mean(turn) / dt
+    yield "skewness of acceleration", _skewness(acceleration)
+    yield "length of bouts of motion", _bouts(series.moving, np.isfinite(speed)) * dt
+    yield "speed gained late", _gained(speed)
+    yield "longest rest", _longest(~series.moving & np.isfinite(speed)) * dt
     wound = np.abs(np.nansum(turn, axis=1)) / np.isfinite(turn).sum(axis=1)
-    yield "windings", ORDER, wound / (2 * np.pi * dt)
+    yield "windings", wound / (2 * np.pi * dt)
     for lag in lags:
         seconds = seconds_of(lag, dt)
         gone = np.linalg.norm(series.position[:, lag:] - series.position[:, :-lag], axis=-1)
-        yield f"displacement in {seconds}", ORDER, _mean(gone)
-        yield f"speed autocorrelation at {seconds}", ORDER, _correlation(speed, speed, lag)
-        yield f"turn autocorrelation at {seconds}", ORDER, _turn_autocorrelation(turn, lag)
+        yield f"displacement in {seconds}", _mean(gone)
+        yield f"speed autocorrelation at {seconds}", _correlation(speed, speed, lag)
+        yield f"turn autocorrelation at {seconds}", _turn_autocorrelation(turn, lag)
     lag = lags[0]
     ahead = _correlation(speed[:, :-1], np.abs(turn), lag)
-    yield "speed before turn", ORDER, ahead - _correlation(np.abs(turn), speed[:, :-1], lag)
+    yield "speed before turn", ahead - _correlation(np.abs(turn), speed[:, :-1], lag)
 
 
-def _interactions(series: Series, lag: int) -> Iterator[tuple[str, str, Floats]]:
+def _interactions(series: Series, lag: int) -> Iterator[tuple[str, Floats]]:
     """Measures of how individuals react to their focus and to each other."""
     step, focus = series.step, series.focus[:, :-1]
     length = np.linalg.norm(step, axis=-1)
     length[~series.moving] = np.nan
     along = (step * focus).sum(axis=-1) / length
     left = cross(focus, step) / length
-    yield "course towards the focus", INTERACTIVE, _mean(along)
-    yield "course to the left of the focus", INTERACTIVE, _mean(left)
+    yield "course towards the focus", _mean(along)
+    yield "course to the left of the focus", _mean(left)
     num = series.speed.shape[2]
     if num == 1:
         return
-    yield "nearest neighbour", INTERACTIVE, _mean(series.nearest)
-    yield "spread of the nearest neighbour", INTERACTIVE, _spread(series.nearest)
+    yield "nearest neighbour", _mean(series.nearest)
+    yield "spread of the nearest neighbour", _spread(series.nearest)
     heading = np.linalg.norm(_mean(series.course, axis=2), axis=-1)
-    yield "polarisation", INTERACTIVE, _mean(heading)[:, None]
+    yield "polarisation", _mean(heading)[:, None]
     others = (np.nansum(series.speed, axis=2, keepdims=True) - series.speed) / (num - 1)
-    yield "speed with the others", INTERACTIVE, _correlation(series.speed, others, 0)
+    yield "speed with the others", _correlation(series.speed, others, 0)
     leading = _correlation(series.speed, others, lag) - _correlation(others, series.speed, lag)
-    yield "speed ahead of the others", INTERACTIVE, leading
+    yield "speed ahead of the others", leading
 
 
-def _groups(series: Series, dt: float, longest: int) -> Iterator[tuple[str, str, Floats]]:
+def _groups(series: Series, dt: float, longest: int) -> Iterator[tuple[str, Floats]]:
     """Measures of a group as a whole.
 
     Milling is the angular momentum of Couzin et al. (2002, J. Theor. Biol. 218, 1): the mean over
@@ -264,15 +333,15 @@ def _groups(series: Series, dt: float, longest: int) -> Iterator[tuple[str, str,
     of its size is 0 where all turn together.
     """
     near = series.nearest.reshape(len(series.nearest), -1)
-    yield "5 % nearest neighbour", INTERACTIVE, np.nanquantile(near, LOW, axis=1)[:, None]
+    yield "5 % nearest neighbour", np.nanquantile(near, LOW, axis=1)[:, None]
     arm = series.position - _mean(series.position, axis=2)[:, :, None]
     extent = np.sqrt(_mean((arm**2).sum(axis=-1), axis=2))
-    yield "extent of the group", INTERACTIVE, _mean(extent)[:, None]
+    yield "extent of the group", _mean(extent)[:, None]
     unit = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
     around = np.abs(_mean(cross(unit[:, :-1], series.course), axis=2))
-    yield "milling", INTERACTIVE, _mean(around)[:, None]
+    yield "milling", _mean(around)[:, None]
     lead = np.abs(_lead(series.course, min(longest, max(1, round(LEAD / dt)))))
-    yield "leadership lag", INTERACTIVE, _mean(lead, axis=1)[:, None] * dt
+    yield "leadership lag", _mean(lead, axis=1)[:, None] * dt
 
 
 def _lead(course: Floats, farthest: int) -> Floats:
@@ -292,18 +361,18 @@ def _lead(course: Floats, farthest: int) -> Floats:
     return np.where(known, delays[best], np.nan)
 
 
-def _places(series: Series, arena: Arena, has_goal: bool) -> Iterator[tuple[str, str, Floats]]:
+def _places(series: Series, arena: Arena, has_goal: bool) -> Iterator[tuple[str, Floats]]:
     """Measures of where individuals are; without a goal, an open field has its start alone."""
     if arena.shape == "open" and not has_goal:
         gone = np.linalg.norm(series.position - series.position[:, :1], axis=-1)
-        yield "distance from the start", PLACE, _mean(gone)
+        yield "distance from the start", _mean(gone)
         return
     wall = distance_to_edge(series.position, arena)
     name = "distance from the source" if arena.shape == "open" else "distance from the wall"
-    yield name, PLACE, _mean(wall)
+    yield name, _mean(wall)
     if arena.shape != "open":
         at_wall = wall < NEAR_WALL * arena.size
-        yield "share at the wall", PLACE, _share(at_wall, np.isfinite(wall))
+        yield "share at the wall", _share(at_wall, np.isfinite(wall))
 
 
 def distance_to_edge(points: Floats, arena: Arena) -> Floats:

@@ -49,10 +49,6 @@ WEIGHTS: Mapping[str, float] = {
 """Shares of the kinds in the total. A kind that a recording does not have is left out, and the
 others keep their proportions; components of a kind weigh alike."""
 
-WHOLE = (
-    "speed with", "speed ahead", "polarisation", "milling", "extent", "leadership",
-)  # fmt: skip
-"""Measures of how individuals go together, of whole episodes."""
 BINS = 10
 PSEUDO_COUNT = 0.1  # added to every bin, as the challenge does
 LIMITS = (0.005, 0.995)  # quantiles of the recordings between which bins lie
@@ -217,10 +213,11 @@ def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
     for (name, kind), parts in gathered.items():
         yield Component(name, kind, *(np.concatenate(side) for side in zip(*parts)))
     measured = prepared.order(rollouts)
-    for name, kind, values in zip(measured.names, measured.kinds, measured.values.T):
+    for one, values in zip(measured.measures, measured.values.T):
         known = np.flatnonzero(np.isfinite(values))
-        if kind == ORDER or name.startswith(WHOLE):
-            yield Component(name, kind, values[known], known, np.zeros(len(known), dtype=np.int64))
+        if one.kind == ORDER or one.whole:
+            alone = np.zeros(len(known), dtype=np.int64)
+            yield Component(one.name, one.kind, values[known], known, alone)
 
 
 def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str, Floats]]:

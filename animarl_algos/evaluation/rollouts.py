@@ -33,6 +33,8 @@ def copies(demo: Sequence[int], seed: Sequence[int], did: Sequence[Hashable]) ->
 class Rollouts(Episodes):
     """Episodes of one method, laid end to end; arrays are read-only.
 
+    Raises InputError if shapes do not fit or positions are not finite.
+
     Parameters
     ----------
     individuals, roles, dt, positions, lengths, outcome, condition
@@ -47,11 +49,6 @@ class Rollouts(Episodes):
         ``(rollouts,)``: training seed of the policy; which of the rollouts from that start.
     components, component_names
         ``(rollouts, individuals, components)``, task reward summed over the episode, by component.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit or positions are not finite.
     """
 
     FORMAT = "animarl-rollouts"

@@ -30,6 +30,7 @@ FARTHEST = 2.0  # times as far as the farthest demonstration, or Student's t, is
 NO_VALUE = "no episode counts"
 ONE_DEMO = "one demonstration: no spread to be seen"
 NOTHING_SHARED = "no shared start"
+FEW_ROLLOUTS = "fewer than two rollouts a start"
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,11 @@ UNDEFINED = Interval(math.nan)
 def interval(row: Any, key: str) -> Interval:
     """The interval that a table row holds under ``key``, ``key_low`` and ``key_high``."""
     return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
+
+
+def told_by(row: Any) -> Interval:
+    """The value that a row of a verdict or of a leaderboard is about."""
+    return Interval(float(row["value"]), float(row["low"]), float(row["high"]), row["reason"])
 
 
 def put_intervals(row: dict[str, Any], **values: Interval) -> None:
@@ -156,6 +162,59 @@ def covers(*methods: Cells) -> str:
     return "this network only" if len(methods) == 1 else "these networks only"
 
 
+# -- energy score ---------------------------------------------------------------------------------
+
+
+def energy_score(simulated: ArrayLike, recorded: ArrayLike) -> float:
+    """The unbiased estimate for one start, in the values' unit (Gneiting and Raftery 2007, J. Am.
+    Stat. Assoc. 102, 359).
+
+    Of rollouts X, X' and the recording y: E|X - y| - E|X - X'| / 2 is smallest on average for the
+    distribution that y is drawn from.
+
+    ``simulated`` is ``(rollouts,)`` and ``recorded`` a number, or ``(rollouts, d)`` and ``(d,)``:
+    ``d`` numbers are compared by Euclidean distance. A single estimate may be negative; NaN for
+    fewer than two rollouts, which do not show a spread.
+    """
+    drawn = np.asarray(simulated, np.float64)
+    number = len(drawn)
+    if number < 2:
+        return math.nan
+    drawn, true = drawn.reshape(number, -1), np.asarray(recorded, np.float64).reshape(-1)
+    error = np.linalg.norm(drawn - true, axis=1).mean()
+    apart = np.linalg.norm(drawn[:, None] - drawn[None], axis=2).sum()
+    return float(error - apart / (2 * number * (number - 1)))
+
+
+def energy_scores(simulated: ArrayLike, demo: ArrayLike, recorded: ArrayLike) -> Floats:
+    """The score at every start, ``(starts,)``; ``demo`` ``(rollouts,)`` is the start of each."""
+    drawn, start = np.asarray(simulated, np.float64), np.asarray(demo)
+    return np.array(
+        [energy_score(drawn[start == i], one) for i, one in enumerate(np.asarray(recorded))]
+    )
+
+
+def energy_cells(
+    simulated: ArrayLike, seed: ArrayLike, demo: ArrayLike, recorded: ArrayLike
+) -> Cells:
+    """The score of every training seed at every start; NaN values do not count."""
+    drawn, of, start = np.asarray(simulated, np.float64), np.asarray(seed), np.asarray(demo)
+    seeds, known = np.unique(of), np.isfinite(drawn).reshape(len(drawn), -1).all(axis=1)
+    rows = [(drawn[chosen], start[chosen]) for chosen in ((of == one) & known for one in seeds)]
+    return single_cells(np.array([energy_scores(*row, recorded) for row in rows]))
+
+
+def pooled_score(recorded: ArrayLike) -> float:
+    """What the recordings of the *other* starts would score, drawn as if they were rollouts.
+
+    A simulator of the right distribution that does not know its start scores this on average; one
+    that knows it scores less.
+    """
+    true = np.asarray(recorded, np.float64)
+    scores = [energy_score(np.delete(true, i, 0), one) for i, one in enumerate(true)]
+    return float(np.mean(scores)) if len(true) > 2 else math.nan
+
+
 # -- intervals ------------------------------------------------------------------------------------
 
 
@@ -253,30 +312,6 @@ def bootstrap_difference(
         return Interval(estimate, max(estimate - below, -1.0), min(estimate + above, 1.0))
     terms = [pair[0].deviations, -pair[1].deviations]
     return _around(estimate, terms, Draws.by(rng, resamples))
-
-
-def within_intervals(
-    methods: Sequence[Cells], rng: np.random.Generator | Draws, resamples: int = RESAMPLES
-) -> list[Interval]:
-    """Intervals of several means on the same demonstrations, free of what these share.
-
-    A long demonstration raises the distance of every method alike. That widens the interval of each
-    mean, but says nothing of their order. It is taken out as in within-subject designs (Cousineau
-    2005, Tutor. Quant. Methods Psychol. 1, 42; Morey 2008, ibid. 4, 61): from every method the mean
-    over the M methods is subtracted, and what is left is scaled by sqrt(M / (M - 1)). Only starts
-    that all of them have count for the width. These intervals do not bound a mean.
-    """
-    number = len(methods)
-    tables = [data.deviations for data in shared_starts(methods)] if number > 1 else []
-    if not tables or tables[0].shape[1] < 2:
-        reason = ONE_DEMO if tables else "a single method"
-        return [Interval(data.mean, reason=reason) for data in methods]
-    draws, scale = Draws.by(rng, resamples), math.sqrt(number / (number - 1))
-    weights = scale * (np.eye(number) - 1.0 / number)
-    return [
-        _around(data.mean, [weight * table for weight, table in zip(row, tables)], draws)
-        for data, row in zip(methods, weights)
-    ]
 
 
 def _around(estimate: float, terms: Sequence[Floats], draws: Draws) -> Interval:

@@ -13,12 +13,9 @@ import numpy as np
 from animarl_algos.evaluation.classifier import Tracked
 from animarl_algos.evaluation.comparison import (
     comparison_table,
-    contrast_table,
     factual,
     pair_table,
 )
-from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
-from animarl_algos.evaluation.effects import answers_of, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
@@ -30,8 +27,8 @@ from animarl_envs.files import write_then_rename
 if TYPE_CHECKING:
     import pandas as pd
 
-TABLES = ("metrics", "comparison", "pairs", "contrasts", "counterfactual")
-NUMBERS = ("fingerprint", "seed", "resamples", "distance_resamples")
+TABLES = ("metrics", "comparison", "pairs")
+NUMBERS = ("fingerprint", "seed", "resamples")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,21 +36,17 @@ class Evaluation:
     """The tables of an evaluation, each a tidy data frame, and the verdict on one method.
 
     ``metrics`` has one row per rollout and recording, ``comparison`` one per method, metric and
-    counting rule, ``pairs`` one per ordered pair of methods, ``contrasts`` one per planned contrast
-    (may be empty), ``counterfactual`` one per quantity (empty if no cue was flipped).
+    counting rule, ``pairs`` one per ordered pair of methods.
     ``fingerprint`` is that of the evaluated demonstrations.
     """
 
     metrics: pd.DataFrame
     comparison: pd.DataFrame
     pairs: pd.DataFrame
-    contrasts: pd.DataFrame
-    counterfactual: pd.DataFrame
     verdict: Verdict
     fingerprint: str
     seed: int
     resamples: int
-    distance_resamples: int
 
     def save(self, folder: str | Path) -> Path:
         """Write a CSV per table, the verdict and ``evaluation.json``, each whole or not at all."""
@@ -92,12 +85,10 @@ def evaluate(
     *,
     seed: int,
     learner: str | None = None,
-    planned_flip: tuple[int, int] | None = None,
     floor: Tracked | None = None,
     references: Demonstrations | None = None,
     smoothing: int | None = None,
     resamples: int = RESAMPLES,
-    distance_resamples: int = DISTANCE_RESAMPLES,
 ) -> Evaluation:
     """Measure and compare the rollouts of several methods.
 
@@ -113,8 +104,6 @@ def evaluate(
         The method that the verdict is about; the first by default.
     floor, references, smoothing
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
-    planned_flip
-        The flip ``(from, to)`` of the condition that was planned in advance.
     """
     import pandas as pd
 
@@ -136,21 +125,11 @@ def evaluate(
                 "condition='demo' and the actual cue"
             )
     streams = np.random.default_rng(seed).spawn(4)
-    asked = {name: answers_of(one, demos) for name, one in rollouts.items()}
-    flipped = {name: one for name, one in asked.items() if one is not None}
-    counterfactual = pd.DataFrame()
-    if flipped:
-        counterfactual = cue_effects(
-            flipped, demos, planned=planned_flip, seed=seed, resamples=resamples
-        ).table
     number = demos.num_episodes
-    drawn = {"resamples": resamples, "distance_resamples": distance_resamples}
     return Evaluation(
         metrics=metrics,
-        comparison=comparison_table(metrics, number, streams[0], **drawn),
+        comparison=comparison_table(metrics, number, streams[0], resamples=resamples),
         pairs=pair_table(metrics, number, streams[3], resamples=resamples),
-        contrasts=contrast_table(metrics, number, streams[1], resamples=resamples),
-        counterfactual=counterfactual,
         verdict=verdict(
             demos,
             replace(rollouts[learner], method=learner),
@@ -162,7 +141,7 @@ def evaluate(
         ),
         fingerprint=demos.fingerprint(),
         seed=seed,
-        **drawn,
+        resamples=resamples,
     )
 
 

@@ -85,10 +85,8 @@ def teams_of(demos: Demonstrations, folder: Path | None = None) -> tuple[Team, T
     ``folder`` has the weights of the recorded agents, ``indiv/p1_2.4.pth`` and so on; without it
     the packaged teams, if the demonstrations say that they were made by these.
 
-    Raises
-    ------
-    InputError
-        If a file is missing, damaged, or of other networks, or the weights are of other agents.
+    Raises InputError if a file is missing, damaged, or of other networks, or the weights are of
+    other agents.
     """
     if folder is not None:
         locomotion = _stated_locomotion(demos)

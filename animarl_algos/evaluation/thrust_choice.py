@@ -57,18 +57,14 @@ def tracking_floor(
     return tell_apart(own, other, np.random.default_rng(seed), deals=1).auc
 
 
-def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> int:
-    """The number of magnitudes for a simulator, by the training episodes (all, if there are none).
+def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:
+    """The number of magnitudes for a simulator, and what decided it, in a few words.
 
-    More are tried until the floor is at most ``LOW``, and the fewest are taken from which the floor
-    does not fall by another ``GAIN``. Where the episodes are too few to say what the floor is,
-    ``RECORDED`` are taken: one would be what artificial chasers have, and is no safer a guess.
+    More are tried on the training episodes (all, if there are none) until the floor is at most
+    ``LOW``, and the fewest are taken from which the floor does not fall by another ``GAIN``. Where
+    the episodes are too few to say what the floor is, ``RECORDED`` are taken: one would be what
+    artificial chasers have, and is no safer a guess.
     """
-    return thrusts_and_reason(demos, seed=seed)[0]
-
-
-def thrusts_and_reason(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:
-    """The number that :func:`choose_thrusts` gives, and what decided it, in a few words."""
     seen = demos.select(split="train") if (demos.split == "train").any() else demos
     floors: dict[int, float] = {}
     for thrusts in TRIED:

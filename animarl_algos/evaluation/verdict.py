@@ -26,7 +26,6 @@ from animarl_algos.evaluation.classifier import (
     judge_windows,
     read_beside,
 )
-from animarl_algos.evaluation.distances import energy_scores
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -36,8 +35,10 @@ from animarl_algos.evaluation.statistics import (
     Interval,
     Ints,
     bootstrap_mean,
+    energy_scores,
     interval,
     single_cells,
+    told_by,
 )
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
@@ -61,7 +62,7 @@ if TYPE_CHECKING:
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
-WORDS = {"reason", "gate_unit", "variant", "speaks_of", "unit", "covers"}
+WORDS = {"reason", "gate", "unit", "covers"}
 HALF = 0.5  # of the recorded value: a larger gap is implausible
 LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
 
@@ -125,11 +126,8 @@ class Verdict:
 
     def area(self, judge: str) -> Interval:
         """Return the area under the ROC curve of a judge: ``AUC`` or ``SEQUENCE``."""
-        if judge not in set(self.table["measure"]):
-            return UNDEFINED
-        row = self.row(judge)
-        ends = (0.5 + row["difference_low"], 0.5 + row["difference_high"])
-        return Interval(row["simulated"], *ends, row["reason"])
+        known = judge in set(self.table["measure"])
+        return told_by(self.row(judge)) if known else UNDEFINED
 
     @property
     def auc(self) -> Interval:
@@ -263,6 +261,9 @@ def verdict(
 ) -> Verdict:
     """Judge a method by its rollouts.
 
+    Raises InputError if the rollouts are not of these demonstrations, or none is in their
+    condition.
+
     Parameters
     ----------
     recorded
@@ -283,11 +284,6 @@ def verdict(
     smoothing
         Frames of a moving average through which all positions go first, 1 for none; by default
         those of :func:`~animarl_algos.evaluation.windows.comparison_smoothing`.
-
-    Raises
-    ------
-    InputError
-        If the rollouts are not of these demonstrations, or none is in their condition.
     """
     import pandas as pd
 

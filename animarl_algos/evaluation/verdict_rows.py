@@ -16,12 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.distances import (
-    energy_scores,
-    pooled_score,
-    recorded_null,
-    wasserstein,
-)
 from animarl_algos.evaluation.exchange_test import (
     Exchanges,
     ExchangeTest,
@@ -36,11 +30,19 @@ from animarl_algos.evaluation.order_in_time import (
     ORDER,
     PLACE,
     EpisodeMeasures,
-    unit_of_measure,
+    Measure,
 )
 from animarl_algos.evaluation.prepared import Prepared, has_ended, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats, Ints, bootstrap_difference, cells, covers
+from animarl_algos.evaluation.statistics import (
+    Floats,
+    Ints,
+    bootstrap_difference,
+    cells,
+    covers,
+    energy_scores,
+    pooled_score,
+)
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.summary import Unit
 
@@ -50,7 +52,7 @@ SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
 LEVEL = 0.03  # of all measures together
 ENDINGS_LEVEL = 0.01  # of the endings together
 LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
-LITTLE_SHARE = 0.05  # the same for a share of episodes or steps, and for a correlation
+LITTLE_SHARE = 0.05  # the same for a share of episodes or steps, and for what has no unit
 OUTCOMES = "outcomes"
 CONTROLS = ("strangers", "blind")  # columns of a group alone
 KINDS = {
@@ -60,42 +62,21 @@ KINDS = {
     PLACE: "Place",
 }
 """Rows of several measures each; the one that differs most stands for them."""
-LIKE_SHARES = (
-    "share", "correlation", "course", "speed gained", "polarisation", "milling", "speed with",
-    "speed ahead",
-    "speed before",
-)  # fmt: skip
-"""Measures that may be zero: a difference of ``LITTLE_SHARE`` is little."""
-PHRASES = {
-    "windings": ("walks in circles", "winds too little"),
-    "turn autocorrelation": ("walks in circles", "forgets its turns too soon"),
-    "displacement": ("gets too far", "does not get far enough"),
-    "speed before turn": ("turns too much after speed", "turns too little after speed"),
-    "speed gained late": ("slows down too little", "slows down too much"),
-    "skewness of acceleration": ("starts too abruptly", "stops too abruptly"),
-    "speed autocorrelation": ("keeps its speed too long", "forgets its speed too soon"),
-    "turning to the left": ("turns too much to the left", "turns too much to the right"),
-    "turning": ("turns too much", "turns too little"),
-    "share at rest": ("rests too much", "rests too little"),
-    "longest rest": ("rests too long", "rests too briefly"),
-    "nearest neighbour": ("keeps too far apart", "keeps too close"),
-    "course towards the focus": ("heads too straight for its focus", "heads too little for it"),
-    "share at the wall": ("keeps too much to the wall", "keeps too little to the wall"),
-}
-"""What too much and too little of a measure are called; of others its name with too high or low."""
 MOST_PHRASES = 4  # of one row
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One row of a verdict.
+    """One row of a verdict, of a leaderboard and of their files.
 
-    ``measure``, ``label`` and ``unit`` are of the numbers: means of both sides, their difference
-    with its 95 % interval, what was tested (``distance``), what chance stays below over all rows
-    together (``null``), and the ``p`` that is adjusted for their number. ``judgement`` is one of
+    ``measure``, ``label`` and ``unit`` are of the numbers: means of both sides, the ``value`` that
+    the row is about with its 95 % interval from ``low`` to ``high`` (the difference of both sides;
+    the statistic of the endings; the area of a judge), what was tested (``distance``), what chance
+    stays below over all rows together (``null``; of a judge the upper end for recordings among
+    themselves), and the ``p`` that is adjusted for their number. ``judgement`` is one of
     ``JUDGEMENTS``, ``verdict`` the same in words; ``covers`` says what the interval speaks of,
-    ``reason`` why there is none. ``wasserstein_distance`` and ``energy`` compare distributions;
-    beside them stand what recordings drawn from recordings, and of other starts, come to.
+    ``reason`` why there is none. ``energy`` compares distributions; beside it stands what
+    recordings of other starts come to.
     Of a group, ``strangers`` is the recorded mean were its animals of different recordings, and
     ``blind`` that of rollouts in which none sees its own neighbours.
     """
@@ -105,9 +86,9 @@ class Row:
     unit: str = ""
     recorded: float = math.nan
     simulated: float = math.nan
-    difference: float = math.nan
-    difference_low: float = math.nan
-    difference_high: float = math.nan
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
     distance: float = math.nan
     null: float = math.nan
     p: float = math.nan
@@ -115,8 +96,6 @@ class Row:
     verdict: str = SAME
     covers: str = ""
     reason: str = ""
-    wasserstein_distance: float = math.nan
-    recorded_null: float = math.nan
     energy: float = math.nan
     energy_pooled: float = math.nan
     strangers: float = math.nan
@@ -146,10 +125,8 @@ def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
     own = {metric.of_order for metric in metrics}  # these have rows of their own
     rest = [i for i, name in enumerate(order.names) if name not in own]
     later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
-    kinds = (*("" for _ in names), *(order.kinds[i] for i in rest))
-    names += [order.names[i] for i in rest]
-    values = np.concatenate([np.stack(columns, axis=1), later], axis=1)
-    return EpisodeMeasures(tuple(names), kinds, values)
+    measures = *(Measure(name, "") for name in names), *(order.measures[i] for i in rest)
+    return EpisodeMeasures(measures, np.concatenate([np.stack(columns, axis=1), later], axis=1))
 
 
 @dataclass(frozen=True)
@@ -196,7 +173,7 @@ def verdict_rows(
     can_end = _can_end(prepared, counted)
     rows = [_endings_row(tests, np.unique(counted.demo))] if can_end else []
     controls = _strangers(prepared), {} if blind is None else prepared.measures(blind)
-    rows += _metric_rows(prepared, counted, columns.names, test, rng, controls)
+    rows += _metric_rows(prepared, counted, tuple(columns.names), test, rng, controls)
     found = [kind for kind in KINDS if kind in columns.kinds]
     return rows + [_kind_row(kind, columns, test, prepared.unit) for kind in found]
 
@@ -215,11 +192,13 @@ def _endings_row(tests: JointTests, starts: Ints) -> Row:
     return Row(
         measure=OUTCOMES,
         label="Endings together (chi-squared)",
+        value=tested.value,
         distance=tested.value,
         null=tested.null,
         p=tested.p,
         judgement=judgement,
         verdict=words,
+        reason="a test: no interval",
     )
 
 
@@ -254,8 +233,6 @@ def _metric_rows(
         if metric.noun:
             scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
             spread_too = {
-                "wasserstein_distance": wasserstein(b, a[starts]),
-                "recorded_null": recorded_null(a[starts], len(b), rng),
                 "energy": float(np.mean(scores)),
                 "energy_pooled": pooled_score(a[starts]),
             }
@@ -265,9 +242,9 @@ def _metric_rows(
             unit=metric.unit.replace("arena units", prepared.unit.name),
             recorded=recorded,
             simulated=drawn,
-            difference=gap.estimate,
-            difference_low=gap.low,
-            difference_high=gap.high,
+            value=gap.estimate,
+            low=gap.low,
+            high=gap.high,
             distance=_gap(test, worst),
             null=float(test.null[worst]),
             p=least_p(test.adjusted_p[[place, worst]]),
@@ -308,26 +285,21 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit
     if not np.isfinite(size).any():
         return Row(measure=kind, label=KINDS[kind])
     worst = int(members[np.nanargmax(size)])
-    name = columns.names[worst]
-    unit = unit_of_measure(name)
-    scale = own.per_arena_unit if unit.startswith("arena units") else 1.0
-    unit = unit.replace("arena units", own.name)
+    measures, name = columns.measures, columns.names[worst]
+    scale = own.per_arena_unit if measures[worst].unit.startswith("arena units") else 1.0
+    unit = measures[worst].unit.replace("arena units", own.name)
     recorded, simulated = scale * float(test.recorded[worst]), scale * float(test.simulated[worst])
     judgement = words = SAME
     differing = members[test.differs[members]]
     if len(differing):
         order = differing[np.argsort(-np.abs(test.statistic[differing]))]
-        told = [
-            phrase_of(columns.names[i], more=test.simulated[i] > test.recorded[i]) for i in order
-        ]
+        told = [measures[i].words(bool(test.simulated[i] > test.recorded[i])) for i in order]
         words, *more = dict.fromkeys(told)
         figures = f"{name}: {simulated:.2g}, recorded {recorded:.2g} {unit}"
         words = f"{words} ({figures.rstrip()})"
         words = ", ".join([words, *more[: MOST_PHRASES - 1]])
-        little = [any(part in columns.names[i] for part in LIKE_SHARES) for i in differing]
-        allowed = np.maximum(
-            LITTLE * np.abs(test.recorded[differing]), LITTLE_SHARE * np.array(little)
-        )
+        least = [0.0 if measures[i].unit else LITTLE_SHARE for i in differing]
+        allowed = np.maximum(LITTLE * np.abs(test.recorded[differing]), least)
         gaps = np.abs(test.simulated[differing] - test.recorded[differing])
         judgement = DIFFERS if (gaps > allowed).any() else BY_LITTLE
         words = words if judgement == DIFFERS else f"{BY_LITTLE}: {words}"
@@ -337,7 +309,7 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit
         unit=unit,
         recorded=recorded,
         simulated=simulated,
-        difference=simulated - recorded,
+        value=simulated - recorded,
         distance=scale * _gap(test, worst),
         null=scale * float(test.null[worst]),
         p=least_p(test.adjusted_p[members]),
@@ -345,14 +317,6 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit
         verdict=words,
         reason="one of several measures: no interval",
     )
-
-
-def phrase_of(name: str, *, more: bool) -> str:
-    """Return what too much, or too little, of a measure of order is called."""
-    for begins, (much, little) in PHRASES.items():
-        if name.startswith(begins):
-            return much if more else little
-    return f"{name} too {'high' if more else 'low'}"
 
 
 def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tuple[float, float]:

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.type_aliases import MaybeCallback
 from stable_baselines3.common.vec_env import VecEnv
-from tqdm.auto import tqdm
+from tqdm import tqdm
 
 from animarl_algos.checked import COUNT
 from animarl_algos.data.vec_env import Feedback, SlotLayout
 from animarl_algos.learner.checkpoint import save_checkpoint
+from animarl_algos.learner.pretraining import shown_progress
 from animarl_envs.errors import InputError
 
 TERMINATED = 128 + signal.SIGTERM
@@ -114,9 +115,7 @@ class ProgressBar(BoundaryCallback):
 
     def _on_training_start(self) -> None:
         self._seen = self.model.num_timesteps
-        self._bar = tqdm(
-            total=self.locals["total_timesteps"] - self._seen, desc="online", unit="step"
-        )
+        self._bar = shown_progress("online", "step", self.locals["total_timesteps"] - self._seen)
 
     def _on_step(self) -> bool:
         assert self._bar is not None
@@ -133,12 +132,12 @@ class ProgressBar(BoundaryCallback):
 
 
 def with_progress_bar(callback: MaybeCallback) -> list[BaseCallback]:
-    """Return the callbacks that ``learn`` was given, and on a terminal a progress bar."""
+    """Return the callbacks that ``learn`` was given, and one that shows progress."""
     given = callback if isinstance(callback, list) else [callback]
     each = [
         c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given if c is not None
     ]
-    return [*each, ProgressBar()] if sys.stderr.isatty() else each
+    return [*each, ProgressBar()]
 
 
 # -- returns --------------------------------------------------------------------------------------

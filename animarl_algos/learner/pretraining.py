@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
+from tqdm import tqdm as lines
 from tqdm.auto import tqdm
 
 from animarl_algos.data.dataset import OfflineDataset
@@ -35,6 +36,7 @@ from animarl_envs.errors import InputError
 Weights = dict[str, torch.Tensor]
 Figures = dict[str, float]
 FEW = 4  # names that a warning lists
+LOG_EVERY = 30.0  # [s] between lines of progress where there is no terminal
 MOST_EPISODES = 16
 """Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
 
@@ -100,9 +102,8 @@ class Pretraining:
         progress, policy = self.progress, self.policy
         if progress.epoch == 0:
             self._begin(data.train)
-        shown = progress_bar and sys.stderr.isatty()
-        first = {"initial": progress.epoch, "total": self.epochs}
-        with tqdm(**first, desc="offline", unit="epoch", disable=not shown) as bar:
+        told: dict[str, Any] = {"done": progress.epoch, "disable": not progress_bar}
+        with shown_progress("offline", "epoch", self.epochs, **told) as bar:
             while not progress.over(self.epochs, self.patience):
                 at_boundary()
                 row = self.train_epoch(data.train)
@@ -118,9 +119,9 @@ class Pretraining:
                     logger.record(f"offline/{name}", value, exclude=each)
                 logger.record("offline/epoch", progress.epoch, exclude="tensorboard")
                 logger.dump(step=progress.epoch)
-                bar.update()
                 figure = np.mean(progress.best_figures)
-                bar.set_postfix(best=progress.best_epoch, figure=f"{figure:.3f}")
+                bar.set_postfix(best=progress.best_epoch, figure=f"{figure:.3f}", refresh=False)
+                bar.update()
         self._warn_if_uninformative()
         assert progress.best_weights is not None
         policy.q_net.load_state_dict(progress.best_weights)
@@ -236,6 +237,28 @@ class Pretraining:
                 "demonstrations, more updates, or standardised inputs",
                 stacklevel=4,
             )
+
+
+class Log:
+    """Standard error where nobody watches: what a terminal writes over is a line of its own."""
+
+    def write(self, text: str) -> None:
+        sys.stderr.write(text.replace("\r", "\n"))
+
+    def flush(self) -> None:
+        sys.stderr.flush()
+
+
+def shown_progress(
+    what: str, unit: str, total: int, *, done: int = 0, disable: bool = False
+) -> tqdm:
+    """Return a progress bar; in a log a line every ``LOG_EVERY`` s says how long it will take."""
+    known: dict[str, Any] = {"desc": what, "unit": unit, "total": total, "initial": done}
+    if sys.stderr.isatty():
+        return tqdm(**known, disable=disable)
+    form = "{desc}: {n_fmt} of {total_fmt} {unit}s after {elapsed}, about {remaining} left"
+    often: dict[str, Any] = {"miniters": 1, "mininterval": LOG_EVERY, "delay": LOG_EVERY}
+    return lines(**known, **often, file=Log(), bar_format=form, disable=disable)
 
 
 def few_or_count(names: list[str]) -> str:

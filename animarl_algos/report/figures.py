@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.distances import densities, kde_grid
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import style
 
@@ -26,6 +25,7 @@ Floats = NDArray[np.float64]
 
 ROW_HEIGHT = 0.52  # of one method in a distribution [inch]
 BINS = 41  # edges of the bins of a histogram
+POINTS = 200  # of a density
 MOST_DOTS = 400  # more rollouts than this are thinned evenly in drawings, never in numbers
 GOLDEN_RATIO = 0.6180339887498949
 REFERENCE: dict[str, Any] = {
@@ -87,16 +87,13 @@ def interval_rows(
     then a density stands above each row, and every rollout below it.
     """
     names, found = list(means), {name: _finite(v) for name, v in (values or {}).items()}
-    samples = {name: sample for name, sample in found.items() if len(sample)}
-    grid, widths = (kde_grid(*samples.values()) if samples else None) or (None, [])
-    width = dict(zip(samples, widths))
     height = 0.8 + (0.36 if values is None else ROW_HEIGHT) * len(names)
     with one_panel(4.6, height, "x", xlabel=axis, title=title) as (figure, panel):
         for row, name in enumerate(names):
             base = float(len(names) - 1 - row)
             colour = (colours or {}).get(name) or style.method_colour(name, row)
-            if grid is not None and name in samples:
-                _draw_density(panel, samples[name], grid, width[name], base, colour)
+            if len(found.get(name, ())):
+                _draw_values(panel, found[name], base, colour)
             draw_interval(panel, means[name], base, colour)
         if reference is not None and np.isfinite(reference):
             panel.axvline(reference, **REFERENCE)
@@ -111,16 +108,16 @@ def interval_rows(
     return figure
 
 
-def _draw_density(
-    panel: Axes, sample: Floats, grid: Floats, width: float, base: float, colour: str
-) -> None:
-    """Density of a sample above ``base``, and its values below."""
-    inside = (grid >= sample.min()) & (grid <= sample.max())
-    inside = inside if inside.sum() > 1 else np.ones_like(inside)
-    height = densities(grid, width, sample, np.ones((1, len(sample))))[0]
-    height = base + (0.46 * height / height.max())[inside]
-    panel.fill_between(grid[inside], base, height, color=colour, alpha=0.30, linewidth=0)
-    panel.plot(grid[inside], height, color=colour, linewidth=0.9)
+def _draw_values(panel: Axes, sample: Floats, base: float, colour: str) -> None:
+    """Values of a sample below ``base``, and above it their density, where they differ."""
+    if np.ptp(sample) > 1e-9 * np.abs(sample).max():
+        from scipy.stats import gaussian_kde
+
+        grid = np.linspace(sample.min(), sample.max(), POINTS)
+        height = gaussian_kde(sample)(grid)
+        height = base + 0.46 * height / height.max()
+        panel.fill_between(grid, base, height, color=colour, alpha=0.30, linewidth=0)
+        panel.plot(grid, height, color=colour, linewidth=0.9)
     dots = np.sort(sample)[np.linspace(0, len(sample) - 1, min(len(sample), MOST_DOTS)).astype(int)]
     offsets = (np.arange(len(dots)) * GOLDEN_RATIO) % 1.0  # the same every time
     panel.plot(

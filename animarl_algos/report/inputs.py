@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.effects import Asked, Effects
 from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -18,9 +17,6 @@ from animarl_algos.report.words import ARROW, Words, pick
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,6 +77,8 @@ class PageInputs:
 class ReportInputs(PageInputs):
     """Everything that the report of a run, or of several runs, shows.
 
+    Raises InputError if the evaluation is of other demonstrations, or the learner has no rollouts.
+
     Parameters
     ----------
     learner
@@ -93,11 +91,6 @@ class ReportInputs(PageInputs):
         Of a cross-validation, in which all recordings were tested; 0 for none.
     warnings
         What was doubtful while the run was made; said beside the verdict.
-
-    Raises
-    ------
-    InputError
-        If the evaluation is of other demonstrations, or the learner has no rollouts.
     """
 
     title: str
@@ -152,16 +145,3 @@ class CounterfactualInputs(PageInputs):
             self.effects.table, method=method, quantity=quantity, condition=of, counting=counting
         )
         return self.words.interval(row, "value", PATH_LENGTH)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class InspectionInputs(PageInputs):
-    """Everything that the page of one episode shows; ``rollouts`` are those from its start."""
-
-    species: Species
-    learner: str
-    episode: int
-    recording: Rollouts
-    rollouts: Mapping[str, Rollouts]
-    decisions: Decisions
-    metrics: pd.DataFrame

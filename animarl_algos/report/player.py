@@ -16,7 +16,6 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report import style
 from animarl_algos.report.inputs import (
     CounterfactualInputs,
-    InspectionInputs,
     PageInputs,
     ReportInputs,
 )
@@ -30,7 +29,6 @@ Floats = NDArray[np.float64]
 STARTS = 12  # that can be played, over all conditions
 BUDGET = 1_500_000  # characters of packed paths; longer ones are thinned in time, evenly
 LEVELS = 65_535  # of a packed coordinate, across the box that holds the scene
-MOST_ROLLOUTS = 4  # of one method, of a single start
 RECORDED, SIMULATED, FACTUAL, FLIPPED, TEAM = (
     "recorded", "simulated", "factual", "flipped", "team"
 )  # fmt: skip
@@ -88,25 +86,6 @@ def shift_player(inputs: CounterfactualInputs) -> Player:
     scenes = list(_shift_scenes(inputs))
     chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
     return play(inputs, scenes, views, _of_starts(len(scenes), chosen))
-
-
-def episode_player(inputs: InspectionInputs) -> Player:
-    """Play the recording beside the first rollouts of every method, a scene for each repetition."""
-    recorded = track(inputs.recording, 0)
-    views = [
-        view(name, inputs.recorded, RECORDED, method_label(name), name)
-        for name in dict.fromkeys([inputs.learner, *inputs.rollouts])
-    ]
-    count = min(MOST_ROLLOUTS, *(len(rollouts) for rollouts in inputs.rollouts.values()))
-    scenes = [
-        Scene(
-            f"Rollout {k}",
-            {RECORDED: recorded} | {name: track(r, k) for name, r in inputs.rollouts.items()},
-        )
-        for k in range(count)
-    ]
-    said = f"The {inputs.recorded} episode beside the first rollouts of each method from its start."
-    return play(inputs, scenes, views, said)
 
 
 def play(

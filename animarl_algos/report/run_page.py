@@ -16,7 +16,6 @@ from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Floats, Interval
 from animarl_algos.evaluation.verdict import implausible
 from animarl_algos.report import figures
-from animarl_algos.report.counterfactual_page import shift_table
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.page import (
     Block,
@@ -224,18 +223,6 @@ def countings(table: pd.DataFrame) -> dict[str, str]:
     return {rule: title for rule, title in COUNTING.items() if (table["counting"] == rule).any()}
 
 
-def _counterfactual(inputs: ReportInputs) -> Iterator[Block]:
-    table = inputs.evaluation.counterfactual
-    if table.empty:
-        return
-    yield Text(
-        "The policy is told the other condition; the world stays as it is. Shifts are those of the "
-        "path length, on the same starts and the same networks. The page of 'animarl "
-        "counterfactual' shows them beside networks that learned nothing."
-    )
-    yield shift_table(inputs, table)
-
-
 # -- where it comes from --------------------------------------------------------------------------
 
 
@@ -247,7 +234,6 @@ def _provenance(inputs: ReportInputs) -> Iterator[Block]:
         [(f"{split} episodes", str(count)) for split, count in inputs.episodes.items()],
         [
             ("resamples of means and differences", f"{evaluation.resamples:,}"),
-            ("resamples of distances", f"{evaluation.distance_resamples:,}"),
             ("seed of the resampling", str(evaluation.seed)),
             ("training seeds", ", ".join(map(str, inputs.seeds)) or "not given"),
         ],
@@ -259,7 +245,6 @@ SECTIONS: tuple[tuple[str, str, Callable[[ReportInputs], Iterator[Block]]], ...]
     ("trajectories", "Trajectories", _trajectories),
     ("distributions", "Speeds and distances", _distributions),
     ("metrics", "Metrics", _metrics),
-    ("counterfactual", "Counterfactual", _counterfactual),
     ("provenance", "How this was made", _provenance),
 )
 """Anchor and title of every section, and what yields its blocks."""

@@ -7,13 +7,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.comparison import COUNTING
-from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH, Metric
-from animarl_algos.evaluation.statistics import interval
+from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.report.page import Row, Table, tabulate
 from animarl_algos.report.verdict_section import DEMONSTRATED, verdict_as_table, verdict_sentence
-from animarl_algos.report.words import Words, pick
+from animarl_algos.report.words import Words, number, pick
 from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -38,9 +37,14 @@ def comparison_as_table(
     def mean(metric: Metric) -> Callable[[Any], str]:
         return told(metric, lambda row: words.told(row, "mean", metric))
 
-    def kde(row: Any) -> str:
-        value, null = row["kde"], interval(row, "kde_null")
-        return f"{value:.2f} [{null.low:.2f}, {null.high:.2f}]" if math.isfinite(value) else ""
+    def energy(metric: Metric) -> Callable[[Any], str]:
+        def written(row: Any) -> str:
+            score, pooled = (
+                words.factor(metric) * float(row[key]) for key in ("energy", "energy_pooled")
+            )
+            return f"{number(score)} ({number(pooled)})" if math.isfinite(score) else ""
+
+        return told(metric, written)
 
     columns: dict[str, Callable[[Any], str]] = {
         "method": lambda one: words.label(one[0]),
@@ -50,17 +54,16 @@ def comparison_as_table(
         unit = f"\n({words.unit_of(metric)})" if metric.is_length else ""
         columns[metric.heading + unit] = mean(metric)
         if metric.has_distribution:
-            columns[f"KDE of {metric.heading.partition(',')[0]}"] = told(metric, kde)
-    columns["DTW within\nstarts"] = told(DTW, lambda row: words.told(row, "within", DTW))
+            columns[f"energy of {metric.heading.partition(',')[0]}"] = energy(metric)
     names = [str(name) for name in comparison["method"].unique()]
     return tabulate(
         "Comparison",
         columns,
         [(COUNTING[rule].capitalize(), [(name, rule) for name in names]) for rule in countings],
         words.say(
-            "Mean [95 % interval] over recordings and training seeds; n: episodes. KDE: "
-            "kernel-density distance to the recordings, 0 to 2; in brackets what a perfect "
-            "simulator gives. Within starts: what all methods share of a start is taken out."
+            "Mean [95 % interval] over recordings and training seeds; n: episodes. Energy: energy "
+            "score, in brackets what recordings of the other starts score; below it a simulator "
+            "uses its start."
         ),
         strong=lambda one: one[0] == learner,
     )

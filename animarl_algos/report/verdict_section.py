@@ -8,7 +8,7 @@ from typing import Any
 
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.realism import REFERENCES
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval, told_by
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
@@ -16,6 +16,7 @@ from animarl_algos.evaluation.verdict_rows import (
     DIFFERS,
     KINDS,
     LEVEL,
+    OUTCOMES,
     SAME,
     UNKNOWN,
 )
@@ -100,7 +101,7 @@ def _differences(verdict: Verdict) -> Iterator[str]:
 def _evidence(row: Any) -> str:
     """The difference with its interval; where it might be none, also the distance and its null."""
     scale, unit = _scale(row)
-    gap = _gap(row)
+    gap = told_by(row)
     points = "percentage points" if unit == "%" else unit
     parts = []
     if math.isfinite(gap.estimate):
@@ -109,10 +110,6 @@ def _evidence(row: Any) -> str:
         null = f"by chance up to {number(scale * row['null'])}"
         parts.append(f"distance {number(scale * row['distance'])}, {null} {points}".rstrip())
     return "; ".join(parts)
-
-
-def _gap(row: Any) -> Interval:
-    return Interval(row["difference"], row["difference_low"], row["difference_high"])
 
 
 def _scale(row: Any) -> tuple[float, str]:
@@ -138,19 +135,13 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
 
 def verdict_as_table(verdict: Verdict, words: Words) -> Table:
     """Return one row per question, those that find nothing faint."""
-    judges = {key: verdict.area(key) for key in (AUC, SEQUENCE)}
+    judges = (AUC, SEQUENCE)
 
     def scaled(key: str) -> Any:
         return lambda row: number(_scale(row)[0] * row[key])
 
-    def simulated(row: Any) -> str:
-        judge = judges.get(row["measure"])
-        return str(scaled("simulated")(row)) if judge is None else with_interval(judge)
-
-    def null(row: Any) -> str:
-        if row["measure"] not in judges:
-            return str(scaled("null")(row))
-        return number(verdict.areas.get(str(row["measure"]), {}).get("among", UNDEFINED).high)
+    def value(row: Any) -> str:
+        return with_interval(told_by(row), _scale(row)[1] == "%")
 
     return tabulate(
         "Verdict",
@@ -158,12 +149,14 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
             "Question": _asked,
             "Verdict": lambda row: words.say(str(row["verdict"])),
             words.say("Recorded"): scaled("recorded"),
-            "Simulated": simulated,
-            "Difference\n[95 %]": lambda row: with_interval(_gap(row), _scale(row)[1] == "%"),
-            "Distance": lambda row: (
-                NOTHING if row["measure"] in judges else scaled("distance")(row)
+            "Simulated": lambda row: (
+                value(row) if row["measure"] in judges else scaled("simulated")(row)
             ),
-            "Null": null,
+            "Difference\n[95 %]": lambda row: (
+                NOTHING if row["measure"] in (*judges, OUTCOMES) else value(row)
+            ),
+            "Distance": scaled("distance"),
+            "Null": scaled("null"),
             **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
         },
         [("", (row for _, row in verdict.table.iterrows()))],

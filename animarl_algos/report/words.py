@@ -155,11 +155,6 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
     return sentences
 
 
-def listed(names: list[str]) -> str:
-    """Return names in a sentence: ``a``, ``a and b``, ``a, b and c``."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
 def capitalised(text: str) -> str:
     """Return the text with a capital at its start, and the rest as it is."""
     return text[:1].upper() + text[1:]

@@ -47,19 +47,12 @@ INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 
 def roll_out(run: Run) -> dict[str, Rollouts]:
-    """Roll out every method from each test demonstration's start.
-
-    Where the learners see the condition, trained ones are also told the other one, in the same
-    world: the counterfactual.
-    """
+    """Roll out every method from each test demonstration's start, told what is so."""
     learner = run.trained(run.settings.algo)
     policies = _policies(run, learner)
     rollouts = {}
     for name, (policy, cue) in policies.items():
-        cues = [cue]
-        if cue is not None and name not in (UNTRAINED, BLIND):
-            cues.append("flipped")
-        rollouts[name] = Rollouts.concatenate([_rolled_out(run, policy, name, c) for c in cues])
+        rollouts[name] = _rolled_out(run, policy, name, cue)
         rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
     for file in (run.path / "rollouts").glob("*.npz"):
         if file.stem not in rollouts:  # of a method that the run is no longer compared with
@@ -128,7 +121,6 @@ def evaluate_rollouts(
         rollouts,
         test,
         seed=seed,
-        planned_flip=species.planned_flip,
         floor=floor,
         learner=learner,
         references=others,

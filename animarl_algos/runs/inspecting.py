@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,21 +14,33 @@ from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import write_tables
-from animarl_algos.report.inputs import InspectionInputs
-from animarl_algos.report.inspection_page import inspection_page
+from animarl_algos.report.inputs import PageInputs
+from animarl_algos.report.page import Gallery, Page, Section, Text
+from animarl_algos.report.path_figures import path_panels, values_along_path
+from animarl_algos.report.provenance import provenance
+from animarl_algos.report.style import method_label, to_image
 from animarl_algos.runs.evaluating import command, refuse_run_folder
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
+from animarl_envs.species import Species
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Inspected(InspectionInputs):
+class Inspected(PageInputs):
     """One episode: the recording, the rollouts from its start by method, what was valued.
 
     ``metrics`` has a row per episode.
     """
+
+    species: Species
+    learner: str
+    episode: int
+    recording: Rollouts
+    rollouts: Mapping[str, Rollouts]
+    decisions: Decisions
+    metrics: pd.DataFrame
 
     @cached_property
     def steps(self) -> pd.DataFrame:
@@ -98,8 +111,50 @@ def inspect_run(folder: str | Path, episode: int, out: str | Path) -> Inspected:
     tables = {"steps": found.steps, "values": found.values, "metrics": found.metrics}
     with all_files_or_none(out) as part:
         write_tables(tables, part)
-        inspection_page(found).write(part)
+        episode_page(found).write(part)
     return found
+
+
+def episode_page(found: Inspected) -> Page:
+    """Return the page: paths from the start, and what was valued along the recorded one."""
+    path, decisions, learner = found.recording.path(0), found.decisions, method_label(found.learner)
+    paths = [(found.recorded, path)]
+    paths += [(method_label(name), some.path(0)) for name, some in found.rollouts.items()]
+    known = decisions.actions >= 0
+    first = int((decisions.q.argmax(axis=1) == decisions.actions)[known].sum())
+    images = (
+        to_image(path_panels(paths, path, found.stage), "Paths from the start of the episode"),
+        to_image(values_along_path(decisions, found.demos.dt), "Action values along the recording"),
+    )
+    captions = (
+        "The demonstration and the first rollout of each method from its start; 'animarl watch "
+        "--beside' plays them, and the table 'metrics' has a row for each.",
+        f"What {learner} values for {decisions.individual} while everybody moves as "
+        f"{found.recorded}. Above, the mean of Q over actions and the best action's; below, the "
+        "advantage of each direction of acceleration, angles taken from the direction to its "
+        "focus; dots: the actions found in the demonstration.",
+    )
+    return Page(
+        title=f"{found.species.title}: test episode {found.episode}",
+        kind="One episode",
+        synthetic=found.demos.synthetic,
+        facts=[("Episode", str(found.demos.recording[found.episode])), ("Method", learner)],
+        sections=[
+            Section("episodes", "Paths", [Gallery(images[:1], captions[0])]),
+            Section(
+                "decisions",
+                "Decisions along the demonstration",
+                [
+                    Text(
+                        f"The action of highest value of {decisions.individual} is the "
+                        f"{found.recorded} one in {first} of {int(known.sum())} steps."
+                    ),
+                    Gallery(images[1:], captions[1]),
+                ],
+            ),
+            Section("provenance", "How this was made", list(provenance(found, "page"))),
+        ],
+    )
 
 
 def step_table(rollouts: Rollouts) -> pd.DataFrame:

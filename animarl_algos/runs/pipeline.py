@@ -99,7 +99,7 @@ def fit(run: Run) -> LocomotionFit:
         if settings.thrusts != AUTO:
             thrusts = int(settings.thrusts)
         elif method == "joint":
-            thrusts = choose_thrusts(demos, seed=settings.seed)
+            thrusts = choose_thrusts(demos, seed=settings.seed)[0]
         result = fit_locomotion(demos, method, seed=settings.seed, thrusts=thrusts)
         result.save(file)
         return result

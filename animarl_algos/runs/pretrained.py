@@ -144,8 +144,8 @@ def export_run(
 def _metrics(verdict: Verdict) -> dict[str, Any]:
     """What the verdict found, as plain numbers; None where something is not defined."""
     rows = json.loads(verdict.table.to_json(orient="records", double_precision=6))
-    keys = ("measure", "unit", "recorded", "simulated", "difference", "difference_low",
-            "difference_high", "null", "energy", "energy_pooled", "verdict")  # fmt: skip
+    keys = ("measure", "unit", "recorded", "simulated", "value", "low", "high", "null",
+            "energy", "energy_pooled", "verdict")  # fmt: skip
     return {
         "words": list(verdict.words),
         "starts": verdict.starts,

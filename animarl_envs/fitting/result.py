@@ -299,19 +299,16 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         step out as a tracking jump.
     """
     seen = demos if fit.fitted_on == "all" else demos.select(split=fit.fitted_on)
-    found = []
+    fast, unknown, jumps = list[str](), list[str](), list[str]()
     for i, one in enumerate(fits_by_kind(fit, demos)):
         if one.terminal_speed > TOO_FAST * one.top_speed:
-            found.append(
-                f"{one.name}: with its thrust held it would reach {one.terminal_speed:.3g} arena "
-                f"units/s, {one.terminal_speed / one.top_speed:.1f} times the top speed seen "
-                f"({one.top_speed:.3g}): a policy that pushes on leaves what was recorded"
+            fast.append(
+                f"{one.name} would reach {one.terminal_speed:.3g} arena units/s, "
+                f"{one.terminal_speed / one.top_speed:.1f} times the top speed seen "
+                f"({one.top_speed:.3g})"
             )
         if one.damping_interval is not None and one.damping_interval[0] < NEAR_ZERO:
-            found.append(
-                f"{one.name}: the interval of d reaches 0, so the recordings do not say how it "
-                "slows down: record longer, or more of its turns and stops"
-            )
+            unknown.append(one.name)
         if fit.method != "joint" or len(one.magnitudes) > 1:
             continue
         data = transitions(seen, i)
@@ -319,9 +316,24 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         low, high = one.damping_interval or (one.damping, one.damping)
         change = abs(whole.damping - one.damping)
         if not low <= whole.damping <= high and change > MATTERS * one.damping + ALIKE:
-            found.append(
-                f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without the steps that "
-                f"are taken for tracking jumps, {whole.damping:.3g} and {whole.thrust:.3g} with "
-                "all: look at the jumps ('animarl data check')"
+            jumps.append(
+                f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without them, "
+                f"{whole.damping:.3g} and {whole.thrust:.3g} with them"
             )
+    found = []
+    if fast:
+        found.append(
+            f"With the thrust held {', '.join(fast)}: a policy that pushes on leaves what was "
+            "recorded"
+        )
+    if unknown:
+        found.append(
+            f"The interval of d reaches 0 for {', '.join(unknown)}, so the recordings do not say "
+            "how they slow down: record longer, or more turns and stops"
+        )
+    if jumps:
+        found.append(
+            f"Steps are left out as tracking jumps that matter ({'; '.join(jumps)}): look at the "
+            "jumps ('animarl data check')"
+        )
     return found

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +16,9 @@ from typing import Any
 
 import pytest
 from commands import Done as Ended
+from filelock import FileLock
 
+from animarl_algos.benchmark import engine
 from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.matrix import (
@@ -26,7 +29,7 @@ from animarl_algos.benchmark.matrix import (
     plan,
     read_matrix,
 )
-from animarl_algos.benchmark.pieces import Done, Piece, attempt
+from animarl_algos.benchmark.pieces import LOCK, Done, Piece, attempt
 from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -54,6 +57,7 @@ class Told(Watch):
     def __init__(self) -> None:
         self.begun: list[str] = []
         self.errors: dict[str, str] = {}
+        self.elsewhere: list[str] = []
 
     def at_once(self, number: int) -> None:
         self.side_by_side = number
@@ -61,8 +65,10 @@ class Told(Watch):
     def started(self, piece: Piece) -> None:
         self.begun.append(piece.name)
 
-    def ended(self, piece: Piece, done: Done) -> None:
-        if done.error:
+    def ended(self, piece: Piece, done: Done | None) -> None:
+        if done is None:
+            self.elsewhere.append(piece.name)
+        elif done.error:
             self.errors[piece.name] = done.error
 
 
@@ -356,6 +362,32 @@ def said_by(arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: A
     return Ended(int(ended.value.code or 0), said.out, said.err)
 
 
+def test_commands_share_the_pieces(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What another command is at is left to it, others are done first; then it is looked for."""
+    monkeypatch.setattr(engine, "LOOK_AGAIN", 0.05)
+    asked, told = plan(tiny()), Told()
+    claim_folder(tmp_path)
+    first = asked.cells[0]
+    first.folder(tmp_path).mkdir(parents=True)
+    other = FileLock(first.folder(tmp_path) / LOCK, thread_local=False)  # another thread lets go
+    other.acquire()
+
+    def let_go() -> None:
+        while not all(cell.finished(tmp_path) for cell in asked.cells[1:]):
+            time.sleep(0.05)
+        other.release()
+
+    waiting = threading.Thread(target=let_go, daemon=True)
+    waiting.start()
+    perform_all(asked.pieces, tmp_path, Workers(), told)
+    waiting.join(60)
+    assert first.name in told.elsewhere and told.begun.index(first.name) < len(told.begun) - 1
+    write_leaderboard(asked, tmp_path)
+    assert not told.errors and bytes_of(tmp_path) == bytes_of(finished)
+
+
 def test_benchmark_command_lists_and_refuses(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
@@ -365,7 +397,7 @@ def test_benchmark_command_lists_and_refuses(
     listed = said_by([*asked, "--list"], monkeypatch, capsys)
     assert listed.returncode == 0 and listed.stdout.count("finished") == 4
     before = bytes_of(finished)
-    done = said_by([*asked, "--engine", "local", "--processes", "2"], monkeypatch, capsys)
+    done = said_by([*asked, "--processes", "2"], monkeypatch, capsys)
     assert done.returncode == 0 and "leaderboard.md" in done.stdout
     assert bytes_of(finished) == before
     part = said_by([*asked, "--only", "agent/soft-bc/1"], monkeypatch, capsys)
@@ -378,10 +410,7 @@ def test_benchmark_command_lists_and_refuses(
     new = tmp_path / "new"
     assert said_by([*asked, "--out", str(new), "--list"], monkeypatch, capsys).returncode == 0
     assert not new.exists() and [f.name for f in other.iterdir()] == ["benchmark.json"]
-    monkeypatch.setitem(sys.modules, "ray", None)  # as where it is not installed
     for wrong, sentence in (
-        (["--engine", "cloud"], "engine 'cloud' is unknown"),
-        (["--engine", "ray"], "pip install 'animarl[ray]'"),
         (["--processes", "0"], "at least 1"),
         (["--species", "fly"], "it is not in the matrix"),
         (["--only", "agent/x"], "no cell is called so"),
@@ -391,5 +420,7 @@ def test_benchmark_command_lists_and_refuses(
         refused = said_by([*asked, "--out", str(new), *wrong], monkeypatch, capsys)
         assert refused.returncode == 2 and sentence in refused.stderr, refused
         assert refused.stderr.count("\n") == 1 and refused.stdout == "" and not new.exists()
-    refused = said_by(["score", str(tmp_path / "none.json")], monkeypatch, capsys)
-    assert refused.returncode == 2 and "there is no such file" in refused.stderr
+    refused = said_by(
+        ["score", str(tmp_path / "none.npz"), "--species", "fly"], monkeypatch, capsys
+    )
+    assert refused.returncode == 2 and "none.npz: " in refused.stderr

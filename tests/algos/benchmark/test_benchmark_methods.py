@@ -58,6 +58,15 @@ def make_raising(setting: MethodSetting) -> Callable[[Any], Any]:
     return act
 
 
+def make_ending(setting: MethodSetting) -> Callable[[Any], Any]:
+    """Another, whose method ends the process; named in ``test_benchmark.py``."""
+
+    def act(observation: Any) -> Any:
+        raise SystemExit(0)
+
+    return act
+
+
 def make_nothing(setting: MethodSetting) -> Any:
     raise ValueError("bad\n\n## fly2\nsecond")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from animarl_algos.benchmark.methods import Steering
-from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
+from animarl_algos.benchmark.submission import read_submission, score_submission
 from animarl_algos.cli.main import main
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -33,80 +32,114 @@ def submission(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = collect_rollouts(
         partial(make_world, scenario), RandomPolicy(0), method="mine", seed=0, repetitions=2
     )
-    return write_submission(made, "fly", tmp_path_factory.mktemp("submission") / "mine.json")
+    return made.save(tmp_path_factory.mktemp("submission") / "mine.npz")
 
 
 def test_benchmark_scores_a_submission(submission: Path) -> None:
-    found = score_submission(submission, resamples=20)
+    found = score_submission(submission, "fly", resamples=20)
     assert found.method == "mine" and found.rollouts == 20 and found.starts == 10
     assert found.of("auc").value > 0.5
 
 
-def damage(path: Path, to: Path, change: Callable[[dict[str, Any]], Any]) -> Path:
-    content = json.loads(path.read_text())
-    change(content)
-    to.write_text(json.dumps(content))
-    return to
+Change = Callable[[Rollouts], Rollouts]
 
 
-def claimed(content: dict[str, Any]) -> Any:
-    """A rollout that did not reach its goal."""
-    return next(one for one in content["rollouts"] if one["outcome"] <= 0)
+def damage(path: Path, to: Path, change: Change) -> Path:
+    return change(Rollouts.load(path)).save(to)
 
 
-def left_out(content: dict[str, Any], demo: int) -> None:
-    content["rollouts"] = [one for one in content["rollouts"] if one["demo"] != demo]
-    content["episodes"] = len(content["rollouts"])
+def entry(key: str, rollout: int, value: int) -> Change:
+    """One entry of an array with an entry per rollout."""
+
+    def change(made: Rollouts) -> Rollouts:
+        array = getattr(made, key).copy()
+        array[rollout] = value
+        return replace(made, **{key: array})
+
+    return change
+
+
+def moved(rollout: int, change: Callable[[Any], Any]) -> Change:
+    """The path of one rollout changed."""
+
+    def changed(made: Rollouts) -> Rollouts:
+        paths = [made.path(i) for i in range(len(made))]
+        paths[rollout] = change(paths[rollout].copy())
+        lengths = np.array([len(path) for path in paths])
+        return replace(made, positions=np.concatenate(paths), lengths=lengths)
+
+    return changed
+
+
+def claims_contact(made: Rollouts) -> Rollouts:
+    return entry("outcome", int(np.flatnonzero(made.outcome <= 0)[0]), 1)(made)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda c: c.update(episodes=21), "claims 21 episodes and holds 20"),
-        (lambda c: c.update(species="cat"), "species is 'cat'"),
-        (lambda c: c.update(fingerprint="0"), "its fingerprint is '0'"),
-        (lambda c: c.update(version=2), "its version is 2"),
-        (lambda c: c.update(format="x"), "no submission"),
-        (lambda c: c.update(note="x"), "key 'note' is unknown"),
-        (lambda c: c.pop("method"), "method is missing"),
-        (lambda c: c["rollouts"][3].update(demo=10), "rollout 3: demo is 10"),
-        (lambda c: c["rollouts"][3].update(seed="1"), "rollout 3: seed is '1'"),
-        (lambda c: c["rollouts"][1].update(repetition=0), "same demo, seed and repetition"),
-        (lambda c: c["rollouts"][0]["positions"][0].pop(), "positions are not"),
-        (lambda c: c["rollouts"][0]["positions"][1].__setitem__(0, [np.nan, 0]), "finite"),
-        (lambda c: c["rollouts"][0]["positions"][1].__setitem__(0, ["0.1", 0]), "not all numbers"),
-        (lambda c: c["rollouts"][0]["positions"].pop(0), "does not begin where"),
-        (lambda c: c["rollouts"][2].update(outcome=9), "outcome 9 is none"),
-        (lambda c: claimed(c).update(outcome=1), "claims that the goal was reached"),
-        (lambda c: left_out(c, 4), "no rollout is from test episode 4"),
+        (lambda made: replace(made, dt=0.2), "its dt .0.2. are not those of fly"),
+        (lambda made: replace(made, individuals=("a", "b", "c")), "its individuals"),
+        (entry("demo", 3, 10), "rollout 3: demo is 10"),
+        (entry("demo", 3, -1), "rollout 3: demo is -1"),
+        (entry("repetition", 1, 0), "same demo, seed and repetition"),
+        (moved(0, lambda path: path[1:]), "does not begin where"),
+        (moved(0, lambda path: path[:1]), "it has 1 frames"),
+        (entry("outcome", 2, 9), "outcome 9 is none"),
+        (claims_contact, "claims that the goal was reached"),
+        (lambda made: made.select(made.demo != 4), "no rollout is from test episode 4"),
     ],
 )
 def test_benchmark_refuses_a_submission(
-    submission: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
+    submission: Path, tmp_path: Path, change: Change, said: str
 ) -> None:
     with pytest.raises(InputError, match=said):
-        read_submission(damage(submission, tmp_path / "bad.json", change))
+        read_submission(damage(submission, tmp_path / "bad.npz", change), "fly")
+
+
+def test_benchmark_refuses_what_is_no_submission(submission: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--species cat: choose among"):
+        read_submission(submission, "cat")
+    (tmp_path / "text.npz").write_text("no archive")
+    with pytest.raises(InputError, match=r"text\.npz: it is not a plain npz archive"):
+        read_submission(tmp_path / "text.npz", "fly")
+    test = load_packaged("fly").select(split="test")
+    with pytest.raises(InputError, match="holds no rollouts of this project"):
+        read_submission(test.save(tmp_path / "recorded.npz"), "fly")
+
+
+def test_rollouts_that_were_told_another_condition_are_left_out(
+    submission: Path, tmp_path: Path
+) -> None:
+    made = Rollouts.load(submission)
+    told = replace(made, cue=1 - made.condition, repetition=made.repetition + 2)
+    both = Rollouts.concatenate([made, told]).save(tmp_path / "both.npz")
+    assert len(read_submission(both, "fly")[0]) == len(made)
 
 
 # -- what could not be ----------------------------------------------------------------------------
 
 
-def put(value: Any) -> Callable[[dict[str, Any]], None]:
-    return lambda content: content["rollouts"][1]["positions"][2][1].__setitem__(0, value)
+def put(value: float) -> Change:
+    def change(path: Any) -> Any:
+        path[2, 1, 0] = value
+        return path
+
+    return moved(1, change)
 
 
-def shift(frame: int, by: float) -> Callable[[dict[str, Any]], None]:
-    def change(content: dict[str, Any]) -> None:
-        path = np.array(content["rollouts"][2]["positions"])
+def shift(frame: int, by: float) -> Change:
+    def change(path: Any) -> Any:
         path[frame:] += by
-        content["rollouts"][2]["positions"] = path.tolist()
+        return path
 
-    return change
+    return moved(2, change)
 
 
-def two_frames(content: dict[str, Any]) -> None:
-    for one in content["rollouts"]:
-        one.update(outcome=TIME_OUT, positions=one["positions"][:2])
+def two_frames(made: Rollouts) -> Rollouts:
+    first = np.concatenate([made.path(i)[:2] for i in range(len(made))])
+    short = np.full(len(made), 2)
+    return replace(made, positions=first, lengths=short, outcome=np.full(len(made), TIME_OUT))
 
 
 @pytest.mark.filterwarnings("error")
@@ -114,25 +147,21 @@ def two_frames(content: dict[str, Any]) -> None:
     ("change", "said"),
     [
         (two_frames, "time ran out, with 2 of 501 frames"),
-        *(
-            (lambda c, o=o: c["rollouts"][0].update(outcome=o), "claims that somebody left")
-            for o in (TARGET_OUT, PURSUER_OUT)
-        ),
+        *((entry("outcome", 0, o), "claims that somebody left") for o in (TARGET_OUT, PURSUER_OUT)),
         *(
             (shift(frame, by), f"moves .* from frame {frame - 1} to {frame}, where")
             for frame, by in ((1, 0.3), (3, -0.3), (4, 0.1))
         ),
         *((put(value), "a coordinate is .* in size, and") for value in (1e308, -1e308, 3.0)),
-        (put(10**400), "positions are not"),
     ],
 )
 def test_submissions_hold_what_could_be(
-    submission: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
+    submission: Path, tmp_path: Path, change: Change, said: str
 ) -> None:
     """Refused in a sentence that names the file and the rollout, and nothing overflows."""
-    bad = damage(submission, tmp_path / "bad.json", change)
+    bad = damage(submission, tmp_path / "bad.npz", change)
     with pytest.raises(InputError, match=said) as refused:
-        read_submission(bad)
+        read_submission(bad, "fly")
     assert str(refused.value).startswith(f"{bad}: rollout ") and "\n" not in str(refused.value)
 
 
@@ -144,9 +173,9 @@ def test_submissions_of_the_recordings_are_refused(species: str, tmp_path: Path)
     twice = Rollouts.concatenate([once, replace(once, repetition=once.repetition + 1)], "mine")
     rounding = twice.positions.round(4)
     for copies in (once, twice, replace(twice, positions=rounding)):
-        path = write_submission(copies, species, tmp_path / "copies.json")
+        path = copies.save(tmp_path / "copies.npz")
         with pytest.raises(InputError, match=r"rollout \d+: it is the recording of test episode"):
-            read_submission(path)
+            read_submission(path, species)
 
 
 @pytest.mark.parametrize("species", packaged_names())
@@ -160,16 +189,17 @@ def test_submissions_of_no_species_jump_after_the_start(species: str, tmp_path: 
     later = np.ones(len(positions), dtype=bool)
     later[made.offsets[:-1]] = False
     positions[later, :, 0] -= np.sign(positions[later, :, 0].mean()) * 0.3  # inwards
-    path = write_submission(replace(made, positions=positions), species, tmp_path / "jump.json")
+    path = replace(made, positions=positions).save(tmp_path / "jump.npz")
     with pytest.raises(InputError, match=r"rollout 0: .* moves .* from frame 0 to 1, where"):
-        read_submission(path)
+        read_submission(path, species)
 
 
 def test_submissions_are_refused_by_the_command(
     submission: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    bad = damage(submission, tmp_path / "bad.json", put(1e308))
-    monkeypatch.setattr(sys, "argv", ["animarl", "benchmark", "score", str(bad)])
+    bad = damage(submission, tmp_path / "bad.npz", put(1e308))
+    asked = ["animarl", "benchmark", "score", str(bad), "--species", "fly"]
+    monkeypatch.setattr(sys, "argv", asked)
     with pytest.raises(SystemExit) as ended:
         main()
     said = capsys.readouterr().err
@@ -202,6 +232,6 @@ def test_submissions_of_rollouts_pass(species: str, acts: str, tmp_path: Path) -
     )
     if acts in steering and not isinstance(spec, SearchSpecies):
         assert np.array_equal(made.path(0), made.path(1))
-    found, _ = read_submission(write_submission(made, species, tmp_path / "made.json"))
+    found, _ = read_submission(made.save(tmp_path / "made.npz"), species)
     assert len(found) == len(made)
     assert get_species(species).time_limit + 1 >= found.lengths.max()

@@ -264,7 +264,8 @@ def test_one_episode_is_looked_at(
     assert done.returncode == 0, done.stderr
     whole(tmp_path / "out", {"steps", "values", "metrics"})
     page = (tmp_path / "out" / "report.html").read_text()
-    assert 'id="player"' in page and "beside the first rollouts of each method" in page
+    assert "Paths from the start of the episode" in page and "animarl watch --beside" in page
+    assert "is the demonstrated one in" in page
     steps = pd.read_parquet(tmp_path / "out" / "steps.parquet")
     test = few().select(split="test")
     recorded = steps[(steps["method"] == "recorded") & (steps["individual"] == "prey")]

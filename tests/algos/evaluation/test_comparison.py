@@ -1,11 +1,11 @@
-"""Tables of methods compared: known answers, pairs, contrasts, and what is undefined."""
+"""Tables of methods compared: known answers, pairs, their gate, and what is undefined."""
 
 import numpy as np
 import pandas as pd
 import pytest
 from metric_tables import joined_rows, metrics_rows, row
 
-from animarl_algos.evaluation.comparison import comparison_table, contrast_table, pair_table
+from animarl_algos.evaluation.comparison import comparison_table, pair_table
 
 
 def test_comparison_counts_what_it_says() -> None:
@@ -18,7 +18,7 @@ def test_comparison_counts_what_it_says() -> None:
         ("DQDIL", 0, recorded + 1.0, caught),
         ("DQDIL", 1, recorded + 1.0, caught),
     )
-    table = comparison_table(metrics, 20, rng, resamples=400, distance_resamples=200)
+    table = comparison_table(metrics, 20, rng, resamples=400)
     everything = row(table, method="DQDIL", metric="duration", counting="all")
     assert everything["rollouts"] == 40 and everything["seeds"] == 2
     assert everything["to_recorded"] == pytest.approx(1.0)
@@ -26,15 +26,15 @@ def test_comparison_counts_what_it_says() -> None:
     pairs = pair_table(metrics, 20, rng, resamples=400)
     to_bc = row(pairs, first="DQDIL", second="BC", metric="duration", counting="all")
     assert to_bc["difference"] == pytest.approx(-1.0)
-    assert everything["kde"] > everything["kde_null"]
+    assert np.isnan(everything["energy"])  # one rollout a start shows no spread
     captures = row(table, method="DQDIL", metric="duration", counting="captures")
     assert captures["rollouts"] == 16 and captures["demos"] == 8
     assert captures["mean"] == pytest.approx(recorded[:8].mean() + 1.0)
     assert row(table, method="BC", metric="return")["mean"] == pytest.approx(0.6)
     # Recordings are not compared with themselves, and DTW only from method to method.
-    assert np.isnan(row(table, method="recorded", metric="duration", counting="all")["kde"])
+    assert np.isnan(row(table, method="recorded", metric="duration", counting="all")["energy"])
     dtw = row(table, method="BC", metric="dtw", counting="all")
-    assert np.isnan(dtw["to_recorded"]) and np.isnan(dtw["kde"])
+    assert np.isnan(dtw["to_recorded"]) and np.isnan(dtw["energy"])
     assert len(table[(table["method"] == "recorded") & (table["metric"] == "dtw")]) == 0
 
 
@@ -53,12 +53,6 @@ def test_pairs_are_differences_on_the_same_demonstrations() -> None:
         pair = row(table, first=first, second=second, metric="duration", counting="all")
         ends = (pair["difference_low"], pair["difference"], pair["difference_high"])
         assert ends == pytest.approx((difference,) * 3)
-    within = row(
-        comparison_table(metrics, 20, rng, resamples=200, distance_resamples=50),
-        method="BC", metric="duration", counting="all",
-    )  # fmt: skip
-    assert (within["within_low"], within["within_high"]) == pytest.approx((within["mean"],) * 2)
-    assert within["mean_high"] - within["mean_low"] > 0.5
 
 
 def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:
@@ -72,37 +66,10 @@ def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:
             metrics_rows("DQCIL", 0, values + 200.0, caught, condition=1, cue=1),
         ]
     )
-    table = comparison_table(metrics, 10, rng, resamples=50, distance_resamples=50)
+    table = comparison_table(metrics, 10, rng, resamples=50)
     assert row(table, method="DQCIL", metric="duration", counting="all")["mean"] == pytest.approx(
         values.mean()
     )
-
-
-def test_contrasts_compare_gaps_and_stand_behind_a_gate() -> None:
-    rng = np.random.default_rng(2)
-    recorded, caught = rng.normal(5.0, 1.0, 25), np.ones(25, dtype=bool)
-
-    def near(method: str, seed: int, gap: float) -> pd.DataFrame:
-        sides = rng.choice([-1.0, 1.0], 25) * (gap + rng.normal(0, 0.05, 25))
-        return metrics_rows(method, seed, recorded + sides, caught)
-
-    methods = [("dqaas", 2.0), ("DQDIL", 1.0), ("DQDIL-PT", 1.0)]
-    metrics = pd.concat(
-        [metrics_rows("recorded", -1, recorded, caught)]
-        + [near(name, seed, gap) for name, gap in methods for seed in range(4)]
-    )
-    table = contrast_table(metrics, 25, rng, resamples=400)
-    table = table[table["measure"] != "energy score"]  # of which one rollout a start shows nothing
-    assert len(table) == 9
-    assert set(table["gate_unit"]) == {
-        "which method a training seed belongs to (4 + 4 + 4 seeds, a sample of the 34,650 ways)"
-    }
-    clear = row(table, metric="duration", first="DQDIL", second="dqaas")
-    assert clear["gate_passed"] and clear["difference_high"] < -0.8
-    none = row(table, metric="duration", first="DQDIL-PT", second="DQDIL")
-    assert none["difference_low"] < 0.0 < none["difference_high"]
-    alone = metrics[metrics["method"].isin(["recorded", "DQDIL"])]
-    assert contrast_table(alone, 25, rng).empty
 
 
 def runs(
@@ -124,42 +91,41 @@ def runs(
 METHODS = {"DQAAS": 1.0, "DQDIL": 1.0, "DQDIL-PT": 1.0}
 
 
+def gates(metrics: pd.DataFrame) -> pd.DataFrame:
+    """Pairs that were planned, by the metrics that planned pairs have a gate by."""
+    table = pair_table(metrics, 20, np.random.default_rng(0), resamples=300)
+    return table[table["gate"] != ""]
+
+
 @pytest.mark.parametrize(
     ("methods", "seeds"), [(METHODS, 1), (METHODS, 2), ({"DQDIL": 9.0, "DQDIL-PT": 1.0}, 3)]
 )
 def test_a_gate_of_few_seeds_decides_nothing(methods: dict[str, float], seeds: int) -> None:
     """Two methods of three seeds have 20 arrangements: the smallest p is 2 in 20."""
-    rng = np.random.default_rng(0)
-    metrics = runs(methods, dict.fromkeys(methods, seeds))
-    table = contrast_table(metrics, 20, rng, resamples=200)
-    table = table[table["measure"] != "energy score"]
+    table = gates(runs(methods, dict.fromkeys(methods, seeds), repetitions=2))
     assert set(table["gate"]) == {"cannot be decided with so few seeds"}
-    assert not table["gate_passed"].any() and table["difference_low"].isna().all()
-    assert table["reason"].str.contains("cannot be decided with so few seeds").all()
+    assert set(table["metric"]) == {"path_length", "duration", "dtw"}
+    assert set(table["counting"]) == {"all"}
+
+
+def test_planned_pairs_alone_have_a_gate_whatever_the_case_of_their_names() -> None:
+    metrics = runs(METHODS | {"BC": 1.0}, dict.fromkeys([*METHODS, "BC"], 4), repetitions=2)
+    found = gates(metrics.replace("DQAAS", "dqaas"))
+    pairs = set(zip(found["first"], found["second"]))
+    assert pairs == {("DQDIL", "dqaas"), ("DQDIL-PT", "dqaas"), ("DQDIL-PT", "DQDIL")}
+    assert set(found["gate"]) == {"not passed"} and (found["gate_p"] > 0.05).all()
+    assert gates(metrics[metrics["method"].isin(["recorded", "DQDIL", "BC"])]).empty
 
 
 def test_unequal_seeds_and_missing_starts_pass_the_gate_all_the_same() -> None:
-    rng = np.random.default_rng(0)
     gaps = {"DQAAS": 4.0, "DQDIL": 1.0, "DQDIL-PT": 1.0}
     metrics = runs(gaps, {"DQAAS": 4, "DQDIL": 3, "DQDIL-PT": 5}, repetitions=2)
     lacking = (metrics["method"] == "DQDIL") & (metrics["demo"] < 3)
-    table = contrast_table(metrics[~lacking], 20, rng, resamples=300)
-    assert (table["demos"] == 17).all()
-    for by in ("energy score", "absolute gap"):
-        clear = row(table, metric="duration", measure=by, first="DQDIL", second="DQAAS")
-        assert clear["gate"] == "passed" and clear["difference_high"] < 0
-        assert "4 + 3 + 5 seeds" in row(
-            table, metric="duration", measure=by, first="DQDIL-PT", second="DQDIL"
-        )["gate_unit"].replace("3 + 4 + 5", "4 + 3 + 5")
-
-
-def test_contrasts_behind_a_gate_that_was_not_passed_have_no_interval() -> None:
-    metrics = runs(METHODS, dict.fromkeys(METHODS, 4), repetitions=2)
-    table = contrast_table(metrics, 20, np.random.default_rng(0), resamples=300)
-    shut = table[table["gate"] == "not passed"]
-    assert len(shut) > 0
-    assert shut["difference_low"].isna().all()
-    assert (shut["reason"] == "difference: the gate: not passed").all()
+    table = gates(metrics[~lacking])
+    table = table[table["metric"] != "dtw"]  # here as far on either side as the others
+    assert set(table["gate"]) == {"passed"} and (table["gate_p"] <= 0.05).all()
+    clear = row(table, metric="duration", first="DQDIL", second="DQAAS")
+    assert clear["demos"] == 17 and clear["energy_high"] < 0
 
 
 def test_differences_of_captures_are_of_shared_starts() -> None:
@@ -181,7 +147,7 @@ def test_differences_of_captures_are_of_shared_starts() -> None:
     assert abs(captures["difference"]) < 0.5
     everything = row(pairs, counting="all", **where)
     assert everything["demos"] == 20 and everything["pairing"] == "paired, same starts"
-    table = comparison_table(metrics, 20, rng, resamples=200, distance_resamples=50)
+    table = comparison_table(metrics, 20, rng, resamples=200)
     mean = row(table, method="DQDIL", metric="duration", counting="captures")
     assert mean["mean"] > 13 and mean["to_recorded"] == pytest.approx(0.0, abs=0.2)
     assert mean["to_recorded_demos"] == 12
@@ -198,7 +164,7 @@ def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None
             metrics_rows("DQDIL", 1, recorded, ~once),
         ]
     )
-    table = comparison_table(metrics, 6, rng, resamples=100, distance_resamples=50)
+    table = comparison_table(metrics, 6, rng, resamples=100)
     one = row(table, method="BC", metric="duration", counting="captures")
     assert np.isnan([one["mean_low"], one["to_recorded_low"], one["energy"]]).all()
     assert "mean: one demonstration" in one["reason"]
@@ -215,6 +181,6 @@ def test_duration_and_outcome_stand_beside_dtw() -> None:
     rng = np.random.default_rng(0)
     recorded, caught = rng.normal(5.0, 1.0, 10), np.arange(10) < 4
     metrics = joined_rows(("recorded", -1, recorded, caught), ("BC", 0, np.full(10, 1.0), caught))
-    table = comparison_table(metrics, 10, rng, resamples=100, distance_resamples=50)
+    table = comparison_table(metrics, 10, rng, resamples=100)
     dtw = row(table, method="BC", metric="dtw", counting="all")
     assert dtw["duration"] == pytest.approx(1.0) and dtw["reached"] == pytest.approx(0.4)

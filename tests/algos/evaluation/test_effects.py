@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_inputs import make_demos, make_rollouts
 
 from animarl_algos.evaluation import Answers, Asked, Rollouts, collect_rollouts, cue_effects
 from animarl_algos.evaluation import effects as of
 from animarl_algos.evaluation.effects import (
     FEWEST_SEEDS,
-    answers_of,
     objection_to_claim,
     over_seeds,
 )
@@ -279,17 +277,3 @@ def test_errors_of_the_two_learners_are_paired() -> None:
         row = rows[(rows["condition"] == c) & (rows["counting"] == "all")].iloc[0]
         assert row["value"] == pytest.approx(mine["DQCIL-PT"] - mine["DQDIL-PT"])
         assert row["value_low"] <= row["value"] <= row["value_high"]
-
-
-def test_a_policy_that_was_never_told_otherwise_was_asked_nothing() -> None:
-    demos = make_demos()
-    flipped = make_rollouts(demos, "dqcil", flipped=True)
-    asked = answers_of(flipped, demos)
-    assert asked is not None and asked.world is None
-    told = asked.trained.flipped
-    assert (told.cue == 1 - told.condition).all() and len(told) == 24
-    assert answers_of(make_rollouts(demos, "bc"), demos) is None
-    changed = replace(flipped, condition=1 - flipped.condition, cue=1 - flipped.condition)
-    both = Rollouts.concatenate([flipped, changed], "dqcil")
-    found = answers_of(both, demos)
-    assert found is not None and found.world is not None and len(found.world) == 48

@@ -22,7 +22,7 @@ from animarl_envs.errors import InputError
 def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
     inputs = report_inputs()
     read = Evaluation.load(inputs.evaluation.save(tmp_path / "evaluation"))
-    for name in ("metrics", "comparison", "pairs", "contrasts", "counterfactual"):
+    for name in ("metrics", "comparison", "pairs"):
         pd.testing.assert_frame_equal(
             getattr(read, name), getattr(inputs.evaluation, name), check_dtype=False
         )
@@ -36,8 +36,7 @@ def test_evaluation_is_repeatable(tmp_path: Path) -> None:
     inputs = report_inputs()
     again, twice = (
         evaluate(
-            inputs.rollouts, inputs.demos, seed=0, planned_flip=(0, 1), resamples=100,
-            distance_resamples=50,
+            inputs.rollouts, inputs.demos, seed=0, resamples=100,
         )
         for _ in range(2)
     )  # fmt: skip
@@ -53,7 +52,7 @@ def test_rollouts_in_another_condition_alone_are_refused() -> None:
     made = make_rollouts(demos, "bc")
     changed = dataclasses.replace(made, condition=1 - made.condition)
     with pytest.raises(InputError, match="condition of its recording"):
-        evaluate({"bc": changed}, demos, seed=0, resamples=50, distance_resamples=50)
+        evaluate({"bc": changed}, demos, seed=0, resamples=50)
 
 
 def test_examples_are_factual_and_in_order() -> None:
@@ -97,10 +96,9 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
     inputs = report_inputs()
     before = inputs.evaluation
     again = evaluate(
-        inputs.rollouts, inputs.demos, seed=0, planned_flip=(0, 1), resamples=100,
-        distance_resamples=50,
+        inputs.rollouts, inputs.demos, seed=0, resamples=100,
     )  # fmt: skip
-    for name in ("metrics", "comparison", "pairs", "contrasts"):
+    for name in ("metrics", "comparison", "pairs"):
         table, known = getattr(again, name), getattr(before, name)
         if name == "metrics":
             assert (table["pace"] > 0).all()
@@ -110,13 +108,13 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
             table = table[table["metric"] != "pace"].reset_index(drop=True)
         pd.testing.assert_frame_equal(table, known)  # what was there stays as it was
     rows = again.comparison.query("metric == 'pace' and method == 'dqdil' and counting == 'all'")
-    assert rows[["to_recorded", "kde"]].notna().all(axis=None)
+    assert rows[["to_recorded", "energy"]].notna().all(axis=None)
     page = rendered(dataclasses.replace(inputs, evaluation=again))
     assert page.count("Path length over duration.") == 1
-    assert "KDE of pace" in page
+    assert "energy of pace" in page
     assert again.verdict.row("pace")["verdict"] in (SAME, "paces too fast", "pace too low")
     assert "pace" in labels() and "pace" not in before.verdict.table["measure"].to_list()
     columns = [str(column.header) for column in evaluation_table(again).columns]
-    assert columns[-3:] == ["pace\n(arena units/s)", "KDE of pace", "DTW within\nstarts"]
+    assert columns[-2:] == ["pace\n(arena units/s)", "energy of pace"]
     # An evaluation from before it was added still makes its page.
     assert rendered(inputs) == report_page()

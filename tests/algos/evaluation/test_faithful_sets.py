@@ -37,8 +37,8 @@ def test_every_episode_is_tested_once(one: DataSet, tmp_path: Path) -> None:
 def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
     """A verdict of one row."""
     row = dict.fromkeys(
-        ("recorded", "difference", "difference_low", "difference_high", "distance", "null",
-         "recorded_null", "p"), math.nan,
+        ("recorded", "value", "low", "high", "distance", "null", "p"),
+        math.nan,
     ) | {"measure": "auc", "label": "Told apart", "simulated": auc, "judgement": SAME}  # fmt: skip
     words = {"unit": "", "covers": "", "reason": "", "verdict": "hardly told apart"}
     return Verdict(

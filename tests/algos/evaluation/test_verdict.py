@@ -11,13 +11,13 @@ from moving_pairs import recorded_pairs, simulated_pairs
 from refusals import refuses
 
 from animarl_algos.evaluation.collect import collect_rollouts
-from animarl_algos.evaluation.exchange_test import Exchanges
+from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
 from animarl_algos.evaluation.metrics import METRICS, MetricInputs, judged_metrics, slow_speeds
-from animarl_algos.evaluation.order_in_time import KINEMATIC
+from animarl_algos.evaluation.order_in_time import KINEMATIC, MEASURES
 from animarl_algos.evaluation.prepared import Prepared, censored, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, is_green, verdict
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, phrase_of
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN
 from animarl_algos.report.page import Table
 from animarl_algos.report.terminal import verdict_table
 from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence
@@ -114,9 +114,10 @@ def test_what_differs_by_little_is_said_with_how_much() -> None:
 
 
 def test_circles_are_said_in_words() -> None:
-    assert phrase_of("turn autocorrelation at 5 s, moth", more=True) == "walks in circles"
-    assert phrase_of("turning, larva", more=True) == "turns too much"
-    assert phrase_of("polarisation", more=False) == "polarisation too low"
+    assert MEASURES["turn autocorrelation at"].words(more=True) == "walks in circles"
+    assert MEASURES["turning"].words(more=True) == "turns too much"
+    own = replace(MEASURES["spread of speed"], name="spread of speed, larva")
+    assert own.words(more=False) == "spread of speed, larva too low"
 
 
 def test_order_in_time_is_told_in_the_unit_of_the_recordings() -> None:
@@ -127,10 +128,10 @@ def test_order_in_time_is_told_in_the_unit_of_the_recordings() -> None:
         verdict(one, simulated_pairs(demos, "slow"), seed=0, references=one).row(KINEMATIC)
         for one in (demos, own)
     )
-    assert told["unit"] == "mm / s" and plain["unit"] == "arena units / s"
-    for column in ("recorded", "simulated", "difference", "distance", "null"):
+    assert told["unit"] == "mm/s" and plain["unit"] == "arena units/s"
+    for column in ("recorded", "simulated", "value", "distance", "null"):
         assert told[column] == pytest.approx(50 * plain[column])
-    assert f"recorded {told['recorded']:.2g} mm / s" in told["verdict"]
+    assert f"recorded {told['recorded']:.2g} mm/s" in told["verdict"]
     assert told["p"] == plain["p"]
 
 
@@ -190,7 +191,7 @@ def test_starts_that_were_rolled_out_more_often_weigh_no_more() -> None:
     for name in ("duration", "path_length", "mean_speed"):
         once, often = (row(name) for row in rows)
         assert often["simulated"] == pytest.approx(once["simulated"])
-        assert often["difference"] == pytest.approx(often["simulated"] - often["recorded"])
+        assert often["value"] == pytest.approx(often["simulated"] - often["recorded"])
 
 
 def test_worse_than_untrained_is_said_only_where_it_holds() -> None:
@@ -367,7 +368,7 @@ def test_a_perfect_simulator_falls_inside_its_null_in_95_percent(shared: float) 
         drawn = np.exp(np.concatenate([centre, centre[demo]]) / 3 + rng.normal(size=48))
         exchanges = Exchanges.draw(demo, starts, rng, 99)
         inside += [
-            exchanges.kde(drawn)[1] > 0.05,
+            exchange_test(drawn[:, None], exchanges).p > 0.05,
             exchanges.chi_squared(np.digitize(drawn, [0.5, 2.0])).inside,
         ]
     share = inside / experiments
@@ -388,7 +389,7 @@ def test_what_always_does_the_same_is_one_rollout_a_start(count_copies: bool) ->
         both = np.concatenate([recorded, simulated[demo]])
         exchanges = Exchanges.draw(demo, starts, rng, 99, copies=copies)
         outside += [
-            exchanges.kde(both)[1] <= 0.05,
+            exchange_test(both[:, None], exchanges).p <= 0.05,
             not exchanges.chi_squared(np.digitize(both, [-1.0, 1.0])).inside,
         ]
     share = outside / experiments
@@ -423,6 +424,6 @@ def test_the_null_of_a_verdict_does_not_count_copies() -> None:
 def test_recordings_without_rollouts_are_left_out() -> None:
     rng = np.random.default_rng(9)
     exchanges = Exchanges.draw([0, 0, 2], 3, rng, 5)
-    values = np.array([1.0, 1e9, 1.0, 1.0, 1.0, 1.0])
-    assert exchanges.kde(values)[1] == 1.0
+    values = np.array([1.0, 1e9, 1.0, 1.0, 1.0, 2.0])
+    assert exchange_test(values[:, None], exchanges).recorded[0] == 1.0
     refuses("recordings 0 to 2", Exchanges.draw, [3], 3, rng)

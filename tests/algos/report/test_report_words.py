@@ -114,12 +114,12 @@ def test_the_arena_unit_of_moths_is_the_metre() -> None:
 
 def judged(words: tuple[str, ...], **row: float) -> Verdict:
     """A verdict of one row."""
-    numbers = {"recorded": 3.0, "simulated": 2.0, "difference": -1.0, "difference_low": -1.5,
-               "difference_high": -0.5, "distance": 1.0, "null": 0.4}  # fmt: skip
+    numbers = {"recorded": 3.0, "simulated": 2.0, "value": -1.0, "low": -1.5, "high": -0.5,
+               "reason": "", "distance": 1.0, "null": 0.4}  # fmt: skip
     told = {"measure": "path_length", "label": "Path length", "unit": "mm", "verdict": words[0]}
     told |= {"judgement": SAME if words == (SAME,) else DIFFERS}
     judge = {"measure": "auc", "label": "AUC", "unit": "", "verdict": SAME, "judgement": SAME,
-             "simulated": 0.8, "difference": 0.3, "difference_low": 0.2, "difference_high": 0.4,
+             "simulated": 0.8, "value": 0.8, "low": 0.7, "high": 0.9,
              "reason": ""}  # fmt: skip
     table = pd.DataFrame([told | numbers | row, judge])
     return Verdict(
@@ -134,7 +134,7 @@ def test_every_verdict_carries_its_interval() -> None:
         "\u22121.0 [\u22121.5, \u22120.5] mm)"
     )
     assert "80 [70, 90] % of pairs" in sentence
-    spread = judged(("path lengths too much alike",), difference_low=-1.5, difference_high=0.5)
+    spread = judged(("path lengths too much alike",), low=-1.5, high=0.5)
     told = "[\u22121.5, 0.5] mm; distance 1.00, by chance up to 0.400 mm)"
     assert told in verdict_sentence(spread, Words())
     lead = verdict_lead(judged(("paths too short",)), Words())
