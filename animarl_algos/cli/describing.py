@@ -175,6 +175,8 @@ def counted(number: int, noun: str) -> str:
 
 def hints(demos: Demonstrations) -> list[str]:
     """Return what somebody who looks at the result may have missed."""
+    from animarl_algos.evaluation.windows import WINDOW  # slow to import
+
     told, counts = demos.provenance, {s: int((demos.split == s).sum()) for s in SPLITS}
     found = []
     if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
@@ -214,6 +216,11 @@ def hints(demos: Demonstrations) -> list[str]:
         found.append(
             f"{counted(short, 'piece')} of fewer than two decisions were left out: "
             "fill gaps by --max-gap, or choose a higher --decision-rate"
+        )
+    if (median := float(np.median(demos.lengths - 1)) * demos.dt) < WINDOW:
+        found.append(
+            f"episodes last {median:.2g} s (median), less than the {WINDOW:g} s that a verdict "
+            "looks at: it takes each as a whole, and sees no order beyond"
         )
     flags = [
         f"{' and '.join(flag['individuals'])} at {flag['time']:g} s of {recording}"
@@ -262,16 +269,21 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
             "or --contact 0 for none"
         )
     elif demos.provenance.get("ends") == "film" and recipe.get("cutting", {}).get("ends") == "auto":
+        contact_too = "--ends contact, or " if demos.has_goal else ""
         found.append(
             "the end of a recording is taken for the end of the film, after which the animals "
-            "went on: otherwise give --ends contact, or --ends left if an animal left the field"
+            f"went on: otherwise give {contact_too}--ends left if an animal left the field"
         )
-    if most := demos.provenance.get("animals_tracked"):
+    most, used = (demos.provenance.get(key) for key in ("animals_tracked", "share_used"))
+    keep_more = "fill gaps by --max-gap, or choose a shorter --piece, to keep more"
+    share = f"{100 * used:.0f} % of what was tracked is used" if used else ""
+    if most:
         found.append(
             f"animals come and go: each episode holds {demos.num_individuals} of up to {most}, who "
-            "are there throughout, and nothing is seen of the others: fill gaps by --max-gap, or "
-            "choose a shorter --piece, to keep more"
+            f"are there throughout, and nothing is seen of the others ({share}): {keep_more}"
         )
+    elif used and not demos.has_goal:
+        found.append(f"{share}, as recordings are cut where anybody is missing: {keep_more}")
     least = [one.get("confidence_of_at_least") for one in _cleaning(demos).values()]
     limits = [one for one in least if one is not None]
     if limits and recipe.get("cleaning", {}).get("min_confidence") is None:

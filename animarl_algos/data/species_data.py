@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.checked import POSITIVE, Range
 from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.replay.sequence_buffer import available_memory
+from animarl_algos.replay.sequence_buffer import GIB, available_memory
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -110,19 +110,30 @@ class SpeciesDemonstrations:
         species = self.species
         return track(self.demos, species.locomotion, species.arena, horizon=self.label_horizon)
 
-    def _dataset(self, split: str) -> OfflineDataset:
+    def check_memory(self) -> None:
+        """Refuse demonstrations whose labels do not fit the memory; it is not taken yet.
+
+        Raises
+        ------
+        InputError
+            With how much they take.
+        """
         demos, species = self.demos, self.species
-        rows = int(demos.lengths[demos.split == split].sum()) * demos.num_individuals
-        components = len(observation_components(species))
-        needed = rows * (PER_ACTION * species.num_actions + PER_COMPONENT * components)
-        free = available_memory()
-        if free is not None and needed > free:
-            raise InputError(
-                f"{demos.name} ({split}): {demos.num_individuals} animals with "
-                f"{species.num_actions} actions take about {needed / 1e9:.1f} GB of memory, and "
-                f"{free / 1e9:.1f} GB are free: use fewer animals or episodes, a lower "
-                "--decision-rate, or fewer --thrusts"
-            )
+        components, free = len(observation_components(species)), available_memory()
+        for split in ("train", "val"):
+            rows = int(demos.lengths[demos.split == split].sum()) * demos.num_individuals
+            needed = rows * (PER_ACTION * species.num_actions + PER_COMPONENT * components)
+            if needed > free:
+                raise InputError(
+                    f"{demos.name} ({split}): {demos.num_individuals} animals with "
+                    f"{species.num_actions} actions take about {needed / GIB:.3g} GiB of memory, "
+                    f"and {free / GIB:.3g} GiB are available: use fewer animals or episodes, a "
+                    "lower --decision-rate, or fewer --thrusts"
+                )
+
+    def _dataset(self, split: str) -> OfflineDataset:
+        self.check_memory()
+        demos, species = self.demos, self.species
         within = np.repeat(demos.split == split, demos.lengths)
         if self.labels == Labels.TRACKING:
             demos = replace(demos, positions=self.tracked.positions).select(split=split)

@@ -183,9 +183,10 @@ def exchange_test(
             gap, scale = _flipped_gaps(values, exchanges, start, group, rng), np.ones_like(gap)
         # Differences of rounding only are none.
         tiny = 1e-9 * np.maximum(np.nanmax(np.abs(filled), axis=0), 1e-300)
-        varies = np.nanstd(gap[1:], axis=0) > tiny
+        some = np.isfinite(gap[1:]).any(axis=0)  # episodes may be too short for a measure
+        varies = np.nanstd(np.where(some, gap[1:], 0.0), axis=0) > tiny
         studentised = gap / np.where(varies, scale, 1.0)
-        spread = np.nanstd(studentised[1:], axis=0)
+        spread = np.nanstd(np.where(varies, studentised[1:], 0.0), axis=0)
         scaled = np.where(varies, studentised / np.where(varies, spread, 1.0), np.nan)
     size = np.abs(scaled)
     defined = np.isfinite(size[0])

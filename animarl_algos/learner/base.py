@@ -279,8 +279,12 @@ class BaseLearner(OffPolicyAlgorithm):
 
     def _make_replay_buffer(self) -> SequenceReplayBuffer:
         assert self.episode_limit is not None
+        # One that never acts keeps nothing: of many animals the memory would be huge.
+        rows = self.buffer_size
+        if not self.recipe.online:
+            rows = min(rows, self.episode_limit + 1)
         return SequenceReplayBuffer(
-            self.buffer_size,
+            rows,
             self.observation_size,
             self.layout.num_individuals,
             self.policy.num_actions,

@@ -11,6 +11,7 @@ import math
 import os
 import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -69,20 +70,19 @@ def check_state_mode(mode: str, sequence_length: int | None, burn_in: int) -> No
         )
 
 
-_MEMINFO = Path("/proc/meminfo")
-_GIB = 2**30
+GIB = 2**30
 
 
-def available_memory() -> int | None:
-    """Return the bytes that can be allocated without swapping, ``None`` if unknown."""
-    if _MEMINFO.is_file():
-        for line in _MEMINFO.read_text().splitlines():
+def available_memory() -> float:
+    """Return the bytes that can be allocated without swapping, infinity if unknown."""
+    with suppress(OSError):
+        for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
+                return 1024.0 * int(line.split()[1])
     names = getattr(os, "sysconf_names", {})
     if "SC_AVPHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return None
+        return float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return math.inf
 
 
 def check_memory(arrays: Sequence[Any], setting: str) -> None:
@@ -91,10 +91,10 @@ def check_memory(arrays: Sequence[Any], setting: str) -> None:
     ``setting`` names what asks for so much, such as ``"buffer_size 1000000"``.
     """
     available, nbytes = available_memory(), sum(array.nbytes for array in arrays)
-    if available is not None and nbytes > available:
+    if nbytes > available:
         raise InputError(
-            f"the replay memory for {setting} needs {nbytes / _GIB:.1f} GiB but "
-            f"{available / _GIB:.1f} GiB are available: lower it"
+            f"the replay memory for {setting} needs {nbytes / GIB:.1f} GiB but "
+            f"{available / GIB:.1f} GiB are available: lower it"
         )
 
 

@@ -23,21 +23,26 @@ if TYPE_CHECKING:
 MINUS, NOTHING, ARROW = "\u2212", "\u2013", " \u2192 "
 FEW_SEEDS = 5
 ENDINGS = {"ed": "demonstrated", "ings": "demonstrations", "ing": "demonstration"}
+WITHOUT_GOAL = {"pursuers (or the moth's)": "animals", ": all episodes, and captures only": ""}
 
 
 @dataclass(frozen=True)
 class Words:
-    """How one report speaks: whether demonstrations were generated, and the unit of lengths."""
+    """How one report speaks: whether demonstrations were generated, the unit of lengths, and
+    whether there is anything to reach."""
 
     synthetic: bool = False
     unit: Unit = RECORDED_SCALE
+    has_goal: bool = True
 
     @classmethod
     def of(cls, demos: Demonstrations) -> Words:
-        return cls(demos.synthetic, unit_of(demos))
+        return cls(demos.synthetic, unit_of(demos), demos.has_goal)
 
     def say(self, text: str) -> str:
         """Return a text that speaks of recordings, as it is true of these demonstrations."""
+        for words, instead in () if self.has_goal else WITHOUT_GOAL.items():
+            text = text.replace(words, instead)
         if not self.synthetic:
             return text
 

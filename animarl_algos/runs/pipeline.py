@@ -68,6 +68,7 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         species, settings.copies, demos=demos, focal=settings.focal, condition_flag=None,
         **asked.env_kwargs,
     )  # fmt: skip
+    env.offline_data().check_memory()
     if settings.acting != CHOSEN:
         Acting.parse(settings.acting).checked(len(env.individuals), env.world.num_actions)
     for algo in (settings.algo, *settings.compared):

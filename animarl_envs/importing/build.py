@@ -26,6 +26,7 @@ from animarl_envs.importing.cutting import (
 )
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.sessions import (
+    AUTO,
     TARGET,
     apply_names,
     assign_focus,
@@ -37,6 +38,7 @@ from animarl_envs.locomotion import shorter_turn
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
+NEARLY_ALL = 0.99  # of what was tracked of free animals is used, or it is said how much
 FEWEST_SAMPLES = 2  # of an episode, besides the one that makes its first velocity
 
 
@@ -54,7 +56,9 @@ def demonstrations_from_tracks(
     )
     sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
     named = [sessions.apply(apply_names(tracks, recipe)) for tracks in recordings]
-    if recipe.target is None and recipe.individuals is None and not recipe.searcher:
+    several = any(len(tracks.individuals) > 2 for tracks in named)
+    free = recipe.target is None or (recipe.target == AUTO and several)
+    if free and recipe.pursuer is None and recipe.individuals is None and not recipe.searcher:
         named = [alone for tracks in named for alone in each_alone(tracks)]
     most = max(len(tracks.individuals) for tracks in named)
     cleaned, done = [], {}
@@ -66,6 +70,7 @@ def demonstrations_from_tracks(
         cleaned.append(tracks)
     cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
+    tracked = sum(int(np.isfinite(one.bodies).all(axis=2).sum()) for one in cleaned)
     if focus is None and not recipe.searcher and recipe.cutting.mode == "whole":
         pieces = in_groups(cleaned, recipe.cutting.piece, FEWEST_PIECES)
         scales = [scale for scale, some in zip(scales, pieces, strict=True) for _ in some]
@@ -84,7 +89,7 @@ def demonstrations_from_tracks(
         cutting = replace(cutting, contact=_contact(bodies, roles, cleaned, recipe))
     if cutting.mode == "events" and cutting.events is not None:
         check_events(Path(cutting.events), [tracks.recording for tracks in cleaned])
-    episodes = []
+    episodes, kept = [], 0
     all_cuts = _cuts(cleaned, bodies, roles, replace(recipe, cutting=cutting))
     for tracks, body, cuts in zip(cleaned, bodies, all_cuts, strict=True):
         if len(cuts) == 1 and tracks.outcome is not None and cutting.mode == "whole":
@@ -92,6 +97,11 @@ def demonstrations_from_tracks(
         made = [_episode(tracks, body, cut, order, recipe) for cut in cuts]
         long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
         told, short = done[tracks.recording], len(made) - len(long_enough)
+        kept += sum(
+            len(individuals) * (cut.stop - cut.start)
+            for cut, one in zip(cuts, made, strict=True)
+            if len(one["positions"]) >= FEWEST_SAMPLES
+        )
         told["episodes"] = told.get("episodes", 0) + len(long_enough)
         told["too_short"] = told.get("too_short", 0) + short
         episodes += long_enough
@@ -139,6 +149,7 @@ def demonstrations_from_tracks(
             "cleaning": done,
             "ends": _ends(cutting, cleaned, joined("outcome")),
             **({} if most == len(individuals) else {"animals_tracked": most}),
+            **({} if kept >= NEARLY_ALL * tracked else {"share_used": kept / tracked}),
             **({} if contact == recipe.cutting.contact else {"contact_radius": contact}),
             **sessions.told(),
         },

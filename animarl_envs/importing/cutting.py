@@ -27,6 +27,9 @@ FEWEST_PIECES = 10
 FEWEST_ENDS = 5  # recordings that say how recordings end
 MOST_END = 0.5  # at least this share of recordings ends within the distance
 AT_LAST = 0.95  # at least this share of those that come within it do so in their last frame
+PARTS, SHORTEST_PART = 10, 20  # of recordings, of which each tells who is approached; [frames]
+LARGEST_CHASE = 4  # individuals, up to which a target is found by itself
+MOSTLY = 0.6  # more parts than that tell the same
 SLACK = 1e-6  # relative, beyond the farthest contact
 NEEDED = {"recording", "start", "end"}
 SHOWN = 10  # recordings
@@ -285,6 +288,25 @@ def most_approached(bodies: Sequence[Floats]) -> int:
             approach[i] += along.sum()
             count[i] += len(along)
     return int(np.argmin(approach / np.maximum(count, 1)))
+
+
+def pursued_individual(bodies: Sequence[Floats]) -> int | None:
+    """The most approached of up to ``LARGEST_CHASE`` animals; of three or more if it is all along.
+
+    The same one is approached most in most parts of the recordings where it is pursued, as prey or
+    a female; among animals that go their own ways it is now one and now another. But the foremost
+    of a shoal is approached by all others for long, so of larger groups it is none.
+    """
+    num = bodies[0].shape[1]
+    if num > LARGEST_CHASE:
+        return None
+    target = most_approached(bodies)
+    if num == 2:
+        return target
+    length = max(SHORTEST_PART, sum(map(len, bodies)) // PARTS)
+    parts = [track[at : at + length] for track in bodies for at in range(0, len(track), length)]
+    found = [most_approached([part]) for part in parts if len(part) > 1]
+    return target if found.count(target) > MOSTLY * len(found) else None
 
 
 def find_contact_distance(nearest: Sequence[Floats]) -> float | None:

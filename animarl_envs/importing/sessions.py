@@ -20,7 +20,7 @@ from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import Splitting, split_recordings
 from animarl_envs.errors import InputError, require
-from animarl_envs.importing.cutting import most_approached
+from animarl_envs.importing.cutting import pursued_individual
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.tables import read_rows
 from animarl_envs.importing.tracks import Tracks
@@ -293,8 +293,8 @@ def assign_focus(
         return recordings, None if recipe.target is None else FocusRole(recipe.target, TARGET)
     if len(first.individuals) < 2 or any(t.individuals != first.individuals for t in recordings):
         return recordings, None
-    target = most_approached([tracks.bodies for tracks in recordings])
-    return recordings, FocusRole(first.individuals[target], TARGET)
+    target = pursued_individual([tracks.bodies for tracks in recordings])
+    return recordings, None if target is None else FocusRole(first.individuals[target], TARGET)
 
 
 def assign_roles(

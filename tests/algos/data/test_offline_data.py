@@ -10,11 +10,13 @@ import torch
 from numpy.typing import NDArray
 from refusals import refuses
 
-from animarl_algos import DQN
+from animarl_algos import DQN, SoftBC
 from animarl_algos.data import species_data
 from animarl_algos.data.dataset import OfflineDataset, mirror_columns
 from animarl_algos.data.species_data import SpeciesDemonstrations, soft_labels
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.runs.pipeline import rehearse
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs import SPECIES
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -488,10 +490,16 @@ def test_memory_is_said_before_it_is_taken(monkeypatch: pytest.MonkeyPatch) -> N
     """A thousand animals do not fit a small machine."""
     monkeypatch.setattr(species_data, "available_memory", lambda: 1e6)
     env = SlotVecEnv("shoal", 1)
-    with pytest.raises(InputError, match=r"12 animals with 37 actions take about .* GB of memory"):
+    said = r"12 animals with \d+ actions take about \S+ GiB of memory, and \S+ GiB are available"
+    with pytest.raises(InputError, match=said):
         _ = env.offline_data().train
+    with pytest.raises(InputError, match=said):  # before anything is fitted
+        rehearse(RunSettings(species="shoal", steps=1), load_packaged("shoal"))
     monkeypatch.undo()
-    assert (species_data.available_memory() or 0) > 1e8
+    # Nor is there a replay memory for a learner that never acts.
+    memory = SoftBC("MlpPolicy", env, seed=0).replay_buffer
+    assert memory is not None and memory.buffer_size == env.max_episode_steps + 1
+    assert species_data.available_memory() > 1e8
 
 
 @pytest.mark.parametrize(("species", "shared"), [("shoal", True), ("agent", False)])

@@ -78,6 +78,21 @@ def test_a_bare_run_without_captures_leaves_out_what_it_lacks(tmp_path: Path) ->
     assert "Metrics" in headings
 
 
+def test_where_nobody_is_pursued_nothing_is_reached() -> None:
+    demos = make_demos()
+    free = dataclasses.replace(
+        demos, roles=("pursuer",) * demos.num_individuals, outcome=np.zeros(len(demos))
+    )
+    rollouts = {
+        name: dataclasses.replace(make_rollouts(free, name), outcome=np.zeros(48))
+        for name in ("bc", "random")
+    }
+    said = "\n".join(Page(rendered(bare_inputs(free, rollouts, species=None))).texts)
+    assert "Path length per episode, mean over the animals." in said
+    words = r"[^\n]*\b(?:targets?|captures?|pursuers?|reach\w*|endings)\b[^\n]*"
+    assert re.findall(words, said, re.IGNORECASE) == []
+
+
 def test_inputs_that_do_not_belong_together_are_refused() -> None:
     inputs = report_inputs()
     with pytest.raises(InputError, match="other demonstrations"):

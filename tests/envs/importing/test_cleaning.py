@@ -27,9 +27,15 @@ from animarl_envs.importing.cleaning import (
     scale_of,
     smooth,
 )
-from animarl_envs.importing.cutting import Cutting, cut_episodes, most_approached
+from animarl_envs.importing.cutting import (
+    Cutting,
+    cut_episodes,
+    most_approached,
+    pursued_individual,
+)
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.tracks import Tracks, merge
+from tools.packaged_data import shoal
 
 CHASE = ("pursuer", "target")
 
@@ -291,6 +297,20 @@ def test_the_one_who_is_approached_is_the_target() -> None:
     assert demos.individuals == ("animal_0", "animal_2", "animal_1")
     assert demos.roles == ("pursuer", "pursuer", "target")
     np.testing.assert_allclose(demos.positions[:, 2], target[1:] / 10.0)
+
+
+def test_nobody_of_a_shoal_is_a_target_by_itself() -> None:
+    paths = shoal.simulate(shoal.ZonalLaw(), 3, 7, 200, np.random.default_rng(0))
+    shoals = [tracks(one, recording=f"shoal_{k}") for k, one in enumerate(paths)]
+    demos = demonstrations_from_tracks(shoals, ImportRecipe(target="auto"))
+    assert set(demos.roles) == {"pursuer"} and demos.is_group
+
+
+def test_who_is_approached_now_and_then_is_no_target() -> None:
+    still, comes = np.zeros((200, 2)), np.linspace(5.0, 0.1, 200)[:, None] * [1.0, 0.0]
+    one = np.stack([still, comes, -comes], axis=1)
+    assert pursued_individual([one]) == 0
+    assert pursued_individual([one, one[:, [1, 0, 2]]]) is None
 
 
 def test_the_first_sample_only_makes_the_first_velocity() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from commands import animarl
 
+from animarl_algos.cli.describing import found_by_itself
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read_tracks
@@ -39,6 +40,8 @@ def test_each_animal_that_comes_and_goes_is_a_recording(tmp_path: Path) -> None:
     fed = np.char.startswith(demos.recording.astype(str), "fed/")
     assert len(set(demos.condition[fed])) == len(set(demos.condition[~fed])) == 1
     assert demos.dt == pytest.approx(1 / HZ) and demos.lengths.min() > 240
+    unsaid = follow(default_recipe(get_reader("long-table"), target="auto"), files)
+    assert len(unsaid) == 12 and unsaid.roles == ("pursuer",)
     # On the even clock the larvae crawl as they did: 1 mm/s, to the rounding of the file.
     (tracks,) = read_tracks(files[0])
     x = tracks.positions[:, 0, 0, 0]
@@ -84,6 +87,11 @@ def test_of_a_group_that_comes_and_goes_pieces_have_those_who_stay(tmp_path: Pat
     # Those who are there move as they were recorded: .1 to the right each second.
     step = np.diff(demos.path(0)[..., 0], axis=0)
     assert np.ptp(step) < 1e-9
+    # How much of what was tracked is used is known, and said.
+    used = len(demos) * 12 * demos.num_individuals / (16 * (120 - 7))
+    assert demos.provenance["share_used"] == pytest.approx(used)
+    said = " ".join(found_by_itself(demos))
+    assert f"nothing is seen of the others ({100 * used:.0f} % of what was tracked is used)" in said
 
 
 def test_the_number_of_animals_may_differ_between_recordings(tmp_path: Path) -> None:
@@ -100,6 +108,16 @@ def test_a_group_that_is_never_there_for_long_is_refused(tmp_path: Path) -> None
     recipe = default_recipe(get_reader("long-table"), frame_rate=10.0)
     with pytest.raises(InputError, match="no three animals are there throughout"):
         follow(recipe, [path])
+
+
+def test_tracks_that_are_too_short_are_said(tmp_path: Path) -> None:
+    """Of one animal with gaps, what lies between two of them may be no episode."""
+    rows = [f"0,{f},{f / 10},{f % 7}" for f in range(200) if f < 100 or f % 3]
+    path = tmp_path / "blinking.csv"
+    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
+    demos = follow(default_recipe(get_reader("long-table"), frame_rate=10.0), [path])
+    assert demos.provenance["share_used"] == pytest.approx(100 / len(rows), abs=0.02)
+    assert "of what was tracked is used, as recordings are cut" in " ".join(found_by_itself(demos))
 
 
 def test_of_a_group_one_animal_is_described_for_all(tmp_path: Path) -> None:
