@@ -235,6 +235,9 @@ class World(ABC):
         """
         if not self.warming.any():
             return actions
+        if self.num_copies == 1:  # the same with less work, for views of one copy
+            only = self._demos.start.item(self.demo.item()) + self.step_count.item()
+            return self._demonstrated[only : only + 1]
         frame = self._demos.start[self.demo] + self.step_count
         shown = self._demonstrated[np.where(self.warming, frame, 0)]
         return np.where(self.warming[:, None], shown, actions)
@@ -243,7 +246,9 @@ class World(ABC):
     def _demonstrated(self) -> NDArray[np.int64]:
         """The actions of all recorded frames, ``(frames, K)``; computed when first needed."""
         assert self.demos is not None
-        return demonstrated_actions(self.demos, self.scenario.species.locomotion).astype(np.int64)
+        shown = demonstrated_actions(self.demos, self.scenario.species.locomotion).astype(np.int64)
+        shown.flags.writeable = False
+        return shown
 
     def _disturb(self, mask: NDArray[np.bool_]) -> None:
         """Apply observation delay and noise."""
