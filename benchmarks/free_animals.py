@@ -16,8 +16,9 @@ recordings, so that little is left of the order of its start. Beside it stand th
 clone that is shown the neighbours of another animal (blind), recorded animals of different moments
 put together (strangers), and places drawn at random in the arena.
 
-``alone``: runs of animals that were recorded alone: how much animals differ from each other, and
-how long speed lasts, by which a rhythm shows, such as that of strides.
+``alone``: runs of animals that were recorded alone: how much animals differ from each other, how
+long speed lasts, by which a rhythm shows, such as that of strides, and how well order in time tells
+simulated animals from recorded ones.
 
 Runs are made by ``animarl run`` under ``--out`` and not made again.
 """
@@ -37,9 +38,16 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_algos import load_run
+from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.collect import Blindfolded
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.windows import (
+    resting_step,
+    sequence_windows,
+    smoothed,
+    window_steps,
+)
 from animarl_algos.runs.run import Run
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
@@ -291,28 +299,49 @@ def lasting(paths: list[Floats], lags: list[int]) -> Floats:
     return np.array(shared) / variance
 
 
+def order_told(recorded: Rollouts, simulated: Rollouts, arena: Arena) -> float:
+    """Area under the ROC curve of a classifier of order in time, as in a verdict, dealt once."""
+    smooth = [
+        replace(side, positions=smoothed(side.positions, side.lengths, SMOOTH))
+        for side in (recorded, simulated)
+    ]
+    rest, steps, each = resting_step(smooth[0]), window_steps(recorded), np.arange(len(recorded))
+    first, second = (sequence_windows(side, arena, rest, steps, each) for side in smooth)
+    return tell_apart(first, second, np.random.default_rng(0), deals=1).auc.estimate
+
+
+def as_long_as(recorded: Rollouts, made: Rollouts) -> Rollouts:
+    """Rollouts cut to the length of the recording that each started from."""
+    lengths = np.minimum(made.lengths, recorded.lengths[made.demo])
+    paths = [made.path(i)[:length] for i, length in enumerate(lengths.tolist())]
+    return replace(made, positions=np.concatenate(paths), lengths=lengths)
+
+
 @app.command()
-def alone(runs: Annotated[list[Path], typer.Argument(help="Folders of animarl run.")]) -> None:
+def alone(
+    runs: Annotated[list[Path], typer.Argument(help="Folders of animarl run.")],
+    split: Annotated[str, typer.Option(help="Of the recordings: test, or val.")] = "test",
+) -> None:
     """Print how animals that were recorded alone differ, and how long they keep their speed."""
-    table = Table(title="Test split: sd between animals, and autocorrelation of speed by lag")
-    for heading in ("", "mean speed", "turning [rad/s]", *(f"{lag:g} s" for lag in LAGS)):
+    table = Table(title=f"{split}: sd between animals, autocorrelation of speed by lag, AUC")
+    for heading in ("", "mean speed", "turning [rad/s]", *(f"{lag:g} s" for lag in LAGS),
+                    "order in time (AUC)"):  # fmt: skip
         table.add_column(heading, justify="right")
     for folder in runs:
         run = load_run(folder)
-        demos = run.demos.select(split="test")
-        made = run.simulate(repetitions=1)
-        unit = unit_of(demos)
-        recorded = [demos.path(i) for i in range(len(demos))]
-        simulated = [made.path(i)[: len(recorded[made.demo[i]])] for i in range(len(made))]
-        for what, paths in (("recorded", recorded), (str(folder), simulated)):
-            lengths = np.array([len(path) for path in paths])
-            spread = episode_traits(np.concatenate(paths), lengths, demos.dt)[:, 0].std(axis=0)
-            kept = lasting([path[:, 0] for path in paths], [round(t / demos.dt) for t in LAGS])
+        demos = run.demos.select(split=split)
+        true, unit = Rollouts.from_demonstrations(demos), unit_of(demos)
+        made = as_long_as(true, run.simulate(split=split, repetitions=1))
+        for what, side in (("recorded", true), (str(folder), made)):
+            paths = [side.path(i)[:, 0] for i in range(len(side))]
+            spread = episode_traits(side.positions, side.lengths, demos.dt)[:, 0].std(axis=0)
+            kept = lasting(paths, [round(t / demos.dt) for t in LAGS])
             table.add_row(
                 what, f"{spread[0] * unit.per_arena_unit:.3g} {unit.name}/s", f"{spread[1]:.3g}",
                 *(f"{value:.3f}" for value in kept),
+                "" if side is true else f"{order_told(true, made, demos.arena):.2f}",
             )  # fmt: skip
-    Console(width=120).print(table)
+    Console(width=140).print(table)
 
 
 if __name__ == "__main__":

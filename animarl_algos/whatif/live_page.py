@@ -283,7 +283,8 @@ def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
         "scales": list(senses.scales),
         "limit": senses.limit,
         "past": list(chase_layout.PAST[: (not species.free) * chase_layout.past_scales(species)]),
-        "memory": senses.shares.tolist() if species.free else [],
+        "memory": senses.shares[:-1].tolist() if species.free else [],
+        "delays": [float(senses.shares[-1])] * chase_layout.DELAYS if species.free else [],
         "on_course": chase_layout.MEMORY.index(COURSE),
     }
 

@@ -447,7 +447,8 @@ const AnimaRL = (() => {
   class Chase extends World {
     constructor(model, options, copies) {
       super(model, options, copies);
-      const K = this.K, scales = (this.scales = model.senses.past.length + 2 * model.senses.memory.length);
+      const K = this.K, { past, memory, delays } = model.senses;
+      const scales = (this.scales = past.length + 2 * memory.length + delays.length / 2);
       this.boundary = options.boundary;
       this.edge = model.arena.rebound ? this.size : this.boundary;
       this.past = new Float64Array(copies * scales * K * 2);
@@ -458,10 +459,12 @@ const AnimaRL = (() => {
     woken(b) {
       const K = this.K, scales = this.scales, at = 2 * b * K, v = this.velocity;
       for (let s = 0; s < scales; s++) {
-        const base = (b * scales + s) * 2 * K, turning = this.model.free && s >= scales / 2;
+        const base = (b * scales + s) * 2 * K, own = this.model.senses.memory.length;
+        const turning = this.model.free && s >= own, delayed = turning && s >= 2 * own;
         for (let k = 0; k < 2 * K; k += 2) {
-          this.past[base + k] = turning ? 0 : v[at + k];
-          this.past[base + k + 1] = turning ? Math.hypot(v[at + k], v[at + k + 1]) : v[at + k + 1];
+          const speed = Math.hypot(v[at + k], v[at + k + 1]);
+          this.past[base + k] = delayed ? speed : turning ? 0 : v[at + k];
+          this.past[base + k + 1] = turning ? speed : v[at + k + 1];
         }
       }
       for (let i = 0; i < K; i++) this.towards[2 * (b * K + i)] = 1;
@@ -469,7 +472,7 @@ const AnimaRL = (() => {
 
     /** Update the averages of the past with the present, before a step is taken. */
     #remember(b) {
-      const { K, scales, velocity, past } = this, { past: over, memory, on_course } = this.model.senses;
+      const { K, scales, velocity, past } = this, { past: over, memory, delays, on_course } = this.model.senses;
       over.forEach((steps, s) => {
         const base = (b * scales + s) * 2 * K;
         for (let k = 0; k < 2 * K; k++) past[base + k] += (1 / steps) * (velocity[2 * b * K + k] - past[base + k]);
@@ -484,6 +487,11 @@ const AnimaRL = (() => {
           const to = place(s + (x > 1 ? memory.length : 0)) + (x & 1);
           past[to] = averaged(past[to], value, part, count);
         }));
+        delays.reduce((speed, part, k) => { // each follows what the one before was
+          const to = place(2 * memory.length + (k >> 1)) + (k & 1), was = past[to];
+          past[to] += part * (speed - was);
+          return was;
+        }, Math.sqrt(vx * vx + vy * vy));
       }
     }
 
@@ -667,6 +675,11 @@ const AnimaRL = (() => {
         scaled(fine, coarse, log, this.past[place(s)], this.past[place(s) + 1]);
         out[turn] = this.past[more];
         out[speed] = Math.log(Math.fround(this.past[more + 1] / stride + REST));
+      });
+      const delayed = column(0, "DELAYED_SPEED");
+      if (delayed !== ABSENT) senses.delays.forEach((_, k) => {
+        const row = 2 * senses.memory.length + (k >> 1), at = ((b * this.scales + row) * K + i) * 2 + (k & 1);
+        out[delayed + k] = Math.log(Math.fround(this.past[at] / stride + REST));
       });
       const faced = this.model.free ? 0 : 1; // how many of the others lie straight ahead by definition
       others.forEach((other, rank) => {

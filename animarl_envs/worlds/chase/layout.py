@@ -37,6 +37,10 @@ PAST = (2, 6)
 MEMORY = (0.5, COURSE, 5.0, 20.0)
 """The same of free animals, which would forget where they were going [s]: of their velocity, of how
 their course turns, and of their speed."""
+DELAYS, DELAY = 8, 0.1
+"""A delay line of a free animal's speed holds the phase of a rhythm, such as that of a larva's
+strides, which averages do not: so many exponential means in a row, each over so long of the one
+before [s] (the gamma memory of de Vries & Principe 1992, Neural Networks 5, 565)."""
 HARMONICS = (2, 3, 4)  # of a direction, where it is seen as finely as actions divide the circle
 FAINT = 0.1  # a vector of this length [u dt, or u] counts half in its direction
 BODY, REACH = 0.03, 0.1  # distances kept by animals that follow a wall [arena size]
@@ -142,6 +146,10 @@ class Seen(IntEnum):
     _F1, _C1, _L1, _T1, _S1 = _MEMORY[RECALLED : 2 * RECALLED]
     _F2, _C2, _L2, _T2, _S2 = _MEMORY[2 * RECALLED : 3 * RECALLED]
     _F3, _C3, _L3, _T3, _S3 = _MEMORY[3 * RECALLED :]
+    DELAYED_SPEED = Group(
+        tuple(f"log of (speed {k + 1} delays ago / (u dt) + 0.3)" for k in range(DELAYS)),
+        "any", "1", "log speed", sense="free",
+    )  # fmt: skip
     OWN_TRAITS = Group(TRAITS, "individual", "sd", "trait", sense="traits")
     HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
     COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
@@ -199,16 +207,17 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
 
 
 def past_scales(species: ChaseSpecies) -> int:
-    """How many averages of the past there are: of free animals velocities, then turn and speed."""
+    """How many averages of the past there are: of free animals velocities, then turn and speed,
+    then two at a time the delayed speeds."""
     if species.free:
-        return 2 * len(MEMORY)
+        return 2 * len(MEMORY) + DELAYS // 2
     return len(PAST) if species.senses_steps and species.observation == FULL else 0
 
 
 def past_shares(species: ChaseSpecies) -> NDArray[np.float64]:
-    """The share of a step in each average."""
+    """The share of a step in each average, the last of free animals that in each delay."""
     if species.free:
-        return np.array([share_of(seconds, species.dt) for seconds in MEMORY])
+        return np.array([share_of(seconds, species.dt) for seconds in (*MEMORY, DELAY)])
     return 1.0 / np.array(PAST)
 
 

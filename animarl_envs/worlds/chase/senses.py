@@ -22,6 +22,7 @@ from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (
     ABSENT,
     BODY,
+    DELAYS,
     FAINT,
     HARDEST,
     MEMORY,
@@ -354,6 +355,11 @@ def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-un
                 turn, speed = past[SPANS + scale, i, 0, b], past[SPANS + scale, i, 1, b]
                 observation[i, first[0, at + 3], b] = turn
                 observation[i, first[0, at + 4], b] = log_of(np.float32(speed / stride + REST))
+        at = first[0, Seen.DELAYED_SPEED]
+        for k in range(DELAYS):
+            for b in range(past.shape[3]):
+                speed = past[2 * SPANS + k // 2, i, k % 2, b]
+                observation[i, at + k, b] = log_of(np.float32(speed / stride + REST))
 
 
 @part
@@ -476,6 +482,11 @@ def _remember(i, at, to, velocity, steps, senses, past):  # type: ignore[no-unty
         past[scale, i, 1, to] = averaged(past[scale, i, 1, at], vy, share, steps)
         past[more, i, 0, to] = averaged(past[more, i, 0, at], turned, share, steps)
         past[more, i, 1, to] = averaged(past[more, i, 1, at], speed, share, steps)
+    for k in range(DELAYS):  # each follows what the one before was
+        row, x = 2 * SPANS + k // 2, k % 2
+        was = past[row, i, x, at]
+        past[row, i, x, to] = was + senses.shares[SPANS] * (speed - was)
+        speed = was
 
 
 def first_past(
@@ -484,9 +495,9 @@ def first_past(
     """Set the averages ``(scales, K, 2, B)`` where episodes begin: nothing was before."""
     now = velocity[..., mask]
     past[..., mask] = now
-    if len(past) == 2 * SPANS:
-        past[SPANS:, :, 0, mask] = 0.0
-        past[SPANS:, :, 1, mask] = np.hypot(now[:, 0], now[:, 1])
+    if len(past) > 2 * SPANS:
+        past[SPANS:, :, :, mask] = np.hypot(now[:, 0], now[:, 1])[:, None]
+        past[SPANS : 2 * SPANS, :, 0, mask] = 0.0
 
 
 def remembered(

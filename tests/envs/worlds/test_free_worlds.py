@@ -16,6 +16,7 @@ from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, make_world, observation_components
+from animarl_envs.worlds.chase.layout import DELAY, DELAYS
 from tools.packaged_data import shoal
 
 DT, STEPS = 0.1, 40
@@ -136,6 +137,27 @@ def test_the_nearest_few_do_not_depend_on_what_was_seen_before() -> None:
         towards = np.take_along_axis(offset, nearest[..., None], axis=2)
         ahead = np.einsum("bikx,bix->bik", towards, world.towards)
         np.testing.assert_allclose(world.observation[..., shown], ahead, atol=1e-5)
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.04], ids=["a step each", "two and a half"])
+def test_speeds_are_remembered_in_a_delay_line(dt: float) -> None:
+    """What a rhythm leaves behind: each delay follows the one before, and the first the speed."""
+    demos = replace(group(1), dt=dt)
+    scenario = make_scenario("custom", demos=demos, split="train")
+    species = scenario.species
+    assert scenario.demos is not None
+    names = [one.name for one in observation_components(species)]
+    first = next(k for k, name in enumerate(names) if "1 delays ago" in name)
+    seen = demonstration_observations(species, scenario.demos)[: STEPS + 1, 0]
+    speed = np.linalg.norm(scenario.demos.velocities()[: STEPS + 1, 0], axis=1)
+    line = np.full(DELAYS, speed[0])
+    stride = species.locomotion[0].smallest_thrust * dt
+    for t in range(STEPS + 1):
+        told = np.log(line / stride + 0.3)
+        np.testing.assert_allclose(seen[t, first : first + DELAYS], told, atol=1e-5)
+        if dt == DELAY and t >= DELAYS:  # what it was so many steps ago
+            np.testing.assert_allclose(line, speed[t - DELAYS : t][::-1])
+        line += min(1.0, dt / DELAY) * (np.concatenate([speed[t : t + 1], line[:-1]]) - line)
 
 
 def test_who_is_who_does_not_matter() -> None:
