@@ -181,6 +181,7 @@ def test_who_knows_its_body_perceives_its_motion_in_units_of_it(name: str) -> No
     own = [
         c for c, one in enumerate(names)
         if "own velocity" in one or "own speed" in one or "own acceleration" in one
+        or "delays ago" in one
         or (name not in CHASES and ("velocity" in one or "speed" in one or "acceleration" in one))
     ]  # fmt: skip
     half = replace(
