@@ -17,7 +17,10 @@ they are run with, and, by ``--unseen``, demonstrations of your own that ``anima
 An unseen file is asked about once: its test split, with a seed that follows from its content.
 
 The recordings lie in $ANIMARL_DATA (by default ../shared/data); those that are not there are left
-out and named.
+out and named. ``chase-1`` and ``chase-3`` are made here: other numbers of predators are trained by
+the program that made the packaged agents, and the table of their tracks is imported as a
+stranger's. Sets whose name ends in ``-cut`` are others whose episodes merely stop, each at a random
+frame, as films do.
 """
 
 from __future__ import annotations
@@ -51,9 +54,9 @@ from animarl_algos.report.terminal import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_files import versions
-from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
+from animarl_algos.runs.run_settings import CHOSEN, RunSettings, pipeline_settings
 from animarl_envs import environment_id
-from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
@@ -68,6 +71,8 @@ READ = " How often this split was read is said [beside the results](../README.md
 FOLDS = 6  # of the cross-validation over recordings, where there are few
 NEAR = 0.05  # above recordings among themselves, where even the floor may lie
 CROSSED = "-folds"  # ends the name of a packaged set that is cross-validated
+STOPPED = "-cut"  # ends the name of a set whose episodes merely stop
+SHORTEST = 0.25  # of an episode, that is left of it
 ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
 
 
@@ -132,6 +137,8 @@ class Bar:
 DISTRIBUTIONS = (Bar("duration", "alike"), Bar("path_length", "alike"))
 TIME = Bar("seconds", "seconds", 240.0)  # of 500 episodes
 AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), TIME)
+STRANGERS = (Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), Bar(SEQUENCE, "auc", 0.65))
+FILMED = (Bar("slow_steps", "difference", 0.05), Bar(SEQUENCE, "auc", 0.65))
 MOTHS = (
     Bar("reached", "difference", 0.10), *DISTRIBUTIONS, Bar("median_speed", "relative", 0.10),
     Bar("auc", "auc", 0.70), Bar("turning", "alike"), Bar(ORDER, "alike"), Bar(SEQUENCE, "alike"),
@@ -157,6 +164,7 @@ class DataSet:
     the set is the packaged one whose name its own begins with. ``folds``: cross-validated over
     recordings, or over episodes where there are fewer than three recordings. ``group`` says what
     is known of it: ``TUNED``, ``ONCE`` or ``UNSEEN``; the name of an unseen set is its file.
+    ``pursuers``: of chases that are made here.
     """
 
     name: str
@@ -164,6 +172,7 @@ class DataSet:
     importing: str | None = None
     folds: int = 1
     group: str = TUNED
+    pursuers: int = 0
 
     @property
     def label(self) -> str:
@@ -175,17 +184,43 @@ class DataSet:
         pattern = "" if self.importing is None else shlex.split(self.importing)[0]
         return sorted(DATA.glob(pattern)) if pattern else []
 
+    @property
+    def there(self) -> bool:
+        """Whether it can be loaded here."""
+        return self.importing is None or self.pursuers > 0 or bool(self.files())
+
     def load(self, folder: Path) -> Demonstrations:
         if self.group == UNSEEN:
             return Demonstrations.load(Path(self.name))
+        if self.name.endswith(STOPPED):
+            return stopped(load_packaged(self.name.removesuffix(STOPPED)))
         if self.importing is None:
             return load_packaged(self.name.removesuffix(CROSSED))
+        folder = folder.resolve()
         out = folder / f"{self.name}.npz"
         if not out.exists():
-            options = shlex.split(self.importing)[1:]
-            command = ["import", *map(str, self.files()), *options, "--out", str(out)]
+            files, options = self.files(), shlex.split(self.importing)[1:]
+            if self.pursuers:
+                files = [folder / f"{self.name}.csv"]
+                program = [sys.executable, "-m", "tools.packaged_data.trained_chase", "table"]
+                told = {"pursuers": self.pursuers, "out": files[0], "folder": folder / self.name}
+                asked = [f"--{key}={value}" for key, value in told.items()]
+                subprocess.run([*program, *asked], check=True, cwd=Path(__file__).parents[1])
+            command = ["import", *map(str, files), *options, "--out", str(out)]
             subprocess.run([*ANIMARL, *command], check=True, stdout=subprocess.DEVNULL)
         return Demonstrations.load(out)
+
+
+def stopped(demos: Demonstrations) -> Demonstrations:
+    """Return episodes that merely stop, each at a random frame of its course, as films do."""
+    rng = np.random.default_rng(0)
+    whole = demos.lengths
+    lengths = np.ceil(whole * rng.uniform(SHORTEST, 1.0, len(whole))).astype(int).clip(2)
+    kept = demos.steps() < np.repeat(lengths, whole)
+    return replace(
+        demos, positions=demos.positions[kept], lengths=lengths, signals={},
+        outcome=np.full(len(whole), UNFINISHED, dtype=np.int8),
+    )  # fmt: skip
 
 
 SETS = (
@@ -201,6 +236,15 @@ SETS = (
     DataSet("silkmoth" + CROSSED, PACKAGED, folds=5),  # they have searched in five plumes
     DataSet("agents-indiv", AGENTS, "agents_collab_hunting/episodes_c2ae_indiv_slow2.4.npz"),
     DataSet("agents-share", AGENTS, "agents_collab_hunting/episodes_c2ae_share_slow2.4.npz"),
+    # A stranger's agents, with defaults.
+    *(
+        DataSet(
+            f"chase-{number}", STRANGERS, "- --fps 10 --arena square --arena-width 2 --synthetic",
+            group=ONCE, pursuers=number,
+        )
+        for number in (1, 3)
+    ),
+    DataSet("agent" + STOPPED, FILMED, group=ONCE),
     DataSet("moths", MOTHS, "silkmoth_mothvr/raw/*.csv --source mothvr", FOLDS),
     DataSet(
         "termites", (*WALLED, Bar("duration", "null")),
@@ -256,7 +300,13 @@ class Followed:
 
 
 def trained(
-    demos: Demonstrations, folder: Path, algo: str, seed: int, split: str, repetitions: int
+    demos: Demonstrations,
+    folder: Path,
+    algo: str,
+    seed: int,
+    split: str,
+    repetitions: int,
+    cloning: str = CHOSEN,
 ) -> tuple[Rollouts, Rollouts, list[NDArray[np.float64]]]:
     """Fit, train, roll out from the starts of a split.
 
@@ -265,7 +315,7 @@ def trained(
     species = demos.species if demos.species in SPECIES else CUSTOM
     asked = RunSettings(
         file=demos.name, species=species, algo=algo, steps=1, seed=seed, baselines=False,
-        **pipeline_settings(environment_id(species), "default"),
+        cloning=cloning, **pipeline_settings(environment_id(species), "default"),
     )  # fmt: skip
     preset = asked.learner()
     asked = asked.changed(steps=preset.n_timesteps, copies=preset.n_envs)
@@ -311,7 +361,9 @@ class Judged:
             part.write_text(json.dumps(done))
 
 
-def judged(one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int) -> Judged:
+def judged(
+    one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int, cloning: str = CHOSEN
+) -> Judged:
     """Train a cell, roll it out and judge it."""
     began = time.process_time()
     demos = one.load(out / "imported")
@@ -320,10 +372,11 @@ def judged(one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: 
     starts = sum(int((fold.split == split).sum()) for fold in folds)
     repetitions = max(2, math.ceil(rollouts / starts))  # of each start, in whichever fold
     for number, fold in enumerate(folds):
-        folder = out / "runs" / f"{one.label}-{algo}-{seed}-{number}"
+        clone = algo if cloning == CHOSEN else f"{algo}-{cloning}"
+        folder = out / "runs" / f"{one.label}-{clone}-{seed}-{number}"
         whole &= not folder.exists()
         index = np.flatnonzero(fold.split == split)
-        *both, paths = trained(fold, folder, algo, seed, split, repetitions)
+        *both, paths = trained(fold, folder, algo, seed, split, repetitions, cloning)
         parts.append([replace(r, demo=index[r.demo]) for r in both])
         followed |= dict(zip(index.tolist(), paths, strict=True))
         used.append(index)
@@ -364,6 +417,7 @@ def main(
     unseen: Annotated[
         list[Path] | None, typer.Option(help="Imported demonstrations, asked once; repeatable.")
     ] = None,
+    cloning: Annotated[str, typer.Option(help="Recipe of the clones, of all sets.")] = CHOSEN,
     rollouts: Annotated[int | None, typer.Option(help="Per cell, at least two a start.")] = None,
     import_only: Annotated[bool, typer.Option(help="No more than OUT/imported/SET.npz.")] = False,
     out: Annotated[Path, typer.Option(help="Where cells and tables go.")] = Path("out/faithful"),
@@ -382,9 +436,10 @@ def main(
     (out / "imported").mkdir(parents=True, exist_ok=True)
     lines: list[dict[str, Any]] = []
     for one in sets:
-        if (only and one.name not in only) or (quick and (one.importing or one.folds > 1)):
+        quickly = one.importing is None and one.folds == 1 and not one.name.endswith(STOPPED)
+        if (only and one.name not in only) or (quick and not quickly):
             continue
-        if one.importing and not one.files():
+        if not one.there:
             console.print(f"{one.name}: its recordings are not in {DATA}: left out")
             continue
         if import_only:
@@ -393,9 +448,10 @@ def main(
         if unseen:
             seeds = [own_seed(one.load(out))]
         for s in (seed or seeds)[: 1 if quick else None]:
-            cell = out / "cells" / f"{one.label}-{algo}-{s}-{split}-{number}"
+            clone = algo if cloning == CHOSEN else f"{algo}-{cloning}"
+            cell = out / "cells" / f"{one.label}-{clone}-{s}-{split}-{number}"
             if not (cell / "cell.json").exists():
-                judged(one, out, algo, s, split, number).save(cell)
+                judged(one, out, algo, s, split, number, cloning).save(cell)
             found = Verdict.load(cell)
             done = json.loads((cell / "cell.json").read_text())
             console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")

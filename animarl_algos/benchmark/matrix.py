@@ -24,7 +24,7 @@ from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.pipeline import rehearse
+from animarl_algos.runs.pipeline import rehearse, with_recipe
 from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
@@ -167,7 +167,7 @@ class Matrix(Checked):
         learner = asked.learner()
         online = bool(named_recipe(algo).algorithm.recipe.online)
         steps = self.steps if self.steps is not None and online else learner.n_timesteps
-        return asked.changed(steps=steps, copies=learner.n_envs)
+        return with_recipe(asked.changed(steps=steps, copies=learner.n_envs), demos)[0]
 
     def world_settings(self, name: str, demos: Demonstrations) -> RunSettings:
         """Return those of the world that all share, and that those without training act in."""

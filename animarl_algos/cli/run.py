@@ -77,7 +77,7 @@ def _options(names: str) -> list[inspect.Parameter]:
 
 @shared.asks_for(_options(
     "file env species algo preset steps seed out source copies focal neighbours policy device "
-    "config fit_method thrusts acting repetitions folds baselines settings"
+    "config cloning fit_method thrusts acting repetitions folds baselines settings"
 ))  # fmt: skip
 def run_command(**given: Any) -> None:
     """Build a simulator from recordings: fit, train, evaluate, report.
@@ -119,6 +119,8 @@ def run_command(**given: Any) -> None:
     console.print(format_fit_table(fit, run.demos))
     warn(doubts(fit, run.demos))
     begin("2/4", f"training {run.settings.algo.upper()}")
+    if reason := run.record.get("reasons", {}).get("cloning"):
+        console.print(f"recipe {run.settings.cloning}: {reason}")
     pipeline.learn_all(run)
     tested = "the test split"
     if folds:
@@ -141,7 +143,7 @@ def run_command(**given: Any) -> None:
 
 @shared.asks_for(_options(
     "context file env species algo preset steps seed out resume source copies focal neighbours "
-    "policy device config fit_method thrusts acting settings"
+    "policy device config cloning fit_method thrusts acting settings"
 ))  # fmt: skip
 def train_command(context: typer.Context, **given: Any) -> None:
     """Fit the locomotion and train; the same command continues a run that was stopped.

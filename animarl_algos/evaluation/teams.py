@@ -35,6 +35,7 @@ from animarl_envs.files import read_npz
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, ChaseSpecies, Species
+from animarl_envs.species.options import with_options
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.chase.layout import PAPER, observation_components
 
@@ -115,9 +116,11 @@ def teams_of(demos: Demonstrations, folder: Path | None = None) -> tuple[Team, T
 # -- the packaged ones ----------------------------------------------------------------------------
 
 
-def trained_species() -> ChaseSpecies:
-    """The species that the packaged teams were trained as."""
-    return replace(AGENT, observation=PAPER)
+def trained_species(pursuers: int = 2) -> ChaseSpecies:
+    """The species that the packaged teams were trained as, or one of so many pursuers."""
+    species = with_options(AGENT, observation=PAPER, num_pursuers=pursuers)
+    assert isinstance(species, ChaseSpecies)
+    return species
 
 
 def load_weights(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, object]]:
@@ -134,16 +137,16 @@ def load_weights(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, 
 
 
 def make_policy(
-    weights: dict[str, NDArray[np.float32]] | None, *, epsilon: float, seed: int
+    weights: dict[str, NDArray[np.float32]] | None, *, epsilon: float, seed: int, pursuers: int = 2
 ) -> MlpPolicy:
     """The networks of all individuals, epsilon-greedy; untrained where no weights are given."""
-    species = trained_species()
+    species = trained_species(pursuers)
     size = len(observation_components(species))
     policy = MlpPolicy(
         Box(-np.inf, np.inf, (size,), np.float32),
         Discrete(species.num_actions),
         lambda _: 1.0,
-        individuals=AGENT.individuals,
+        individuals=species.individuals,
         acting=Acting.epsilon_greedy(epsilon),
         seed=seed,
     )

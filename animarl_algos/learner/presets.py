@@ -64,6 +64,7 @@ def learner_preset(
     overrides: Mapping[str, Any] | None = None,
     *,
     config: str | Path | None = None,
+    cloning: str | None = None,
 ) -> LearnerPreset:
     """The settings of ``algo`` in an environment, ``overrides`` over those of the file.
 
@@ -81,8 +82,11 @@ def learner_preset(
         Settings that go over the file's.
     config
         A file of the same format to read instead of ``zoo_configs/<algo>.yml``.
+    cloning
+        Section of ``cloning.yml``, by default that of the environment.
     """
-    found, listed = read_preset(algo if config is None else Path(config), env_id, preset)
+    file = algo if config is None else Path(config)
+    found, listed = read_preset(file, env_id, preset, cloning=cloning)
     if preset == "paper" and not listed:
         ids = [environment_id(name) for name in SPECIES]
         if not any(read_preset(algo, each, preset)[1] for each in ids):
@@ -197,13 +201,15 @@ def read_preset(
     preset: str,
     model: type[Checked] = LearnerFile,
     *,
+    cloning: str | None = None,
     within: tuple[str, ...] = (),
 ) -> tuple[dict[str, Any], bool]:
     """Return settings of an environment: of the bases, then ``common``, then its own section.
 
-    With them comes whether it has a section of its own for the preset. ``within`` are the files
-    that named this one as their base. Raises InputError if there is no such preset, a key is
-    unknown, or a value is of the wrong kind.
+    Where a file has a section ``cloning``, that takes the place of the environment's. With the
+    settings comes whether the environment has a section of its own for the preset. ``within`` are
+    the files that named this one as their base. Raises InputError if there is no such preset, a
+    key is unknown, or a value is of the wrong kind.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r} is unknown: choose {' or '.join(PRESETS)}")
@@ -213,9 +219,11 @@ def read_preset(
     settings: dict[str, Any] = {}
     listed = preset in sections.get(env_id, {})
     for base in bases:
-        inherited, there = read_preset(base, env_id, preset, model, within=(*within, str(config)))
+        inherited, there = read_preset(
+            base, env_id, preset, model, cloning=cloning, within=(*within, str(config))
+        )
         settings, listed = merged(settings, inherited), listed or there
-    for section in ("common", env_id):
+    for section in ("common", cloning if cloning in sections else env_id):
         settings = merged(settings, sections.get(section, {}).get(preset, {}))
     return settings, listed
 

@@ -56,7 +56,7 @@ def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
     for number, demos in enumerate(cross_validated(given, folds), 1):
         fold = Run(run.path / FOLDER / f"{number}-of-{folds}", run.acting_rule)
         fold.path.mkdir(parents=True, exist_ok=True)
-        fold.start(run.settings, demos, run.record["command"])
+        fold.start(run.settings, demos, run.record["command"], run.record.get("reasons"))
         found.append(fold)
     return tuple(found)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 from stable_baselines3.common.logger import configure
 
+from animarl_algos.data.recipe_choice import choose_recipe
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
@@ -50,12 +51,22 @@ def open_run(
     """Start (or find again) the run folder; what does not fit together is refused before it."""
     if demos is None:
         demos = load_demonstrations(settings.file, settings.source, settings.species)
+    settings, reasons = with_recipe(settings, demos)
     rehearse(settings, demos)
     run = Run(out)
     run.path.mkdir(parents=True, exist_ok=True)
     with run.lock():
-        run.start(settings, demos, command)
+        run.start(settings, demos, command, reasons)
     return run
+
+
+def with_recipe(settings: RunSettings, demos: Demonstrations) -> tuple[RunSettings, dict[str, str]]:
+    """Return the settings with the recipe of the clone, and why it was chosen, if it was."""
+    checked_species(settings, demos)
+    if settings.cloning != CHOSEN or not settings.clones:
+        return settings, {}
+    name, reason = choose_recipe(demos)
+    return settings.changed(cloning=name), {"cloning": reason}
 
 
 def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
@@ -189,7 +200,8 @@ def report(run: Run) -> Path:
             RunSet({method_name(run.settings.algo): (run,)}),
             joined_rollouts(folds) if folds else run.rollouts(),
             Evaluation.load(run.path / "evaluation"),
-            {"run": record["settings"], "learner": record["learner"]},
+            {"run": record["settings"], "learner": record["learner"]}
+            | {"reason": record.get("reasons", {})},
             record["command"],
             datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             all_tested(run.demos) if folds else None,

@@ -74,10 +74,17 @@ class Run:
 
     # -- what the run is --------------------------------------------------------------------------
 
-    def start(self, settings: RunSettings, demos: Demonstrations, command: str) -> None:
+    def start(
+        self,
+        settings: RunSettings,
+        demos: Demonstrations,
+        command: str,
+        reasons: Mapping[str, str] | None = None,
+    ) -> None:
         """Write what the run is, or make sure that what is there is the same run.
 
-        Raises InputError if the folder holds another run.
+        ``reasons`` say why a setting was chosen, by its name. Raises InputError if the folder holds
+        another run.
         """
         own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
         moving = run_world.select_individuals(demos, own.env_kwargs)
@@ -101,6 +108,7 @@ class Run:
                 "versions": run_files.versions(),
                 "machine": run_files.machine(),
                 "command": command,
+                "reasons": dict(reasons or {}),
             }
             self._write_record(resolved | made)
             return
@@ -123,7 +131,7 @@ class Run:
     @cached_property
     def record(self) -> dict[str, Any]:
         """``settings``, ``learner`` and the ``baseline`` it is compared with, ``environment``,
-        ``fingerprint``, ``versions``, ``machine`` and ``command``.
+        ``fingerprint``, ``versions``, ``machine``, ``command`` and ``reasons``.
         """
         file = self.path / "settings.json"
         try:

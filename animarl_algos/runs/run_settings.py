@@ -67,6 +67,9 @@ class RunSettings(PipelineSettings):
     """Only this individual learns, and the others replay; default: all learn."""
     device: str = "cpu"
     """cpu (default) or cuda."""
+    cloning: str = CHOSEN
+    """Recipe of the clone: exact, exact-few, nearly-exact, recorded, search, or chosen (by the
+    demonstrations; zoo_configs/cloning.yml)."""
     repetitions: int = Field(5, ge=1)
     """Rollouts per test demonstration."""
     baselines: bool = True
@@ -91,6 +94,7 @@ class RunSettings(PipelineSettings):
 
     @model_validator(mode="after")
     def _check_combinations(self) -> RunSettings:
+        from animarl_algos.data.recipe_choice import CLONINGS
         from animarl_algos.networks.acting_rule import Acting
 
         if self.species != CUSTOM:
@@ -104,6 +108,9 @@ class RunSettings(PipelineSettings):
                 f"thrusts is {self.thrusts!r} but fit_method {self.fit_method} fits one thrust: "
                 "choose 1, or fit_method joint"
             )
+        if self.cloning not in (CHOSEN, *CLONINGS):
+            known = ", ".join((CHOSEN, *CLONINGS))
+            raise InputError(f"cloning is {self.cloning!r}: choose among {known}")
         check_device(self.device)
         return self
 
@@ -133,7 +140,16 @@ class RunSettings(PipelineSettings):
             self.preset,
             self.overrides if own else shared,
             config=self.config if own else None,
+            cloning=None if self.cloning == CHOSEN else self.cloning,
         )
+
+    @property
+    def clones(self) -> bool:
+        """Whether the learner takes anything from a recipe of the clone."""
+        from animarl_algos.data.recipe_choice import CLONINGS
+
+        recipes = [self.changed(cloning=name).learner() for name in CLONINGS[:2]]
+        return recipes[0] != recipes[1]
 
 
 def pipeline_settings(env_id: str, preset: str) -> dict[str, Any]:

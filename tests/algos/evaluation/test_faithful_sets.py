@@ -15,7 +15,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import SAME
-from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import cross_validated
 from benchmarks import faithful
@@ -32,6 +32,15 @@ def test_every_episode_is_tested_once(one: DataSet, tmp_path: Path) -> None:
     tested = [np.flatnonzero(fold.split == "test") for fold in cross_validated(demos, one.folds)]
     assert len(tested) == one.folds
     assert np.sort(np.concatenate(tested)).tolist() == list(range(len(demos)))
+
+
+def test_a_set_that_is_cut_stops_anywhere(tmp_path: Path) -> None:
+    whole, cut = load_packaged("agent"), NAMED["agent-cut"].load(tmp_path)
+    assert set(cut.outcome.tolist()) == {UNFINISHED}
+    kept = cut.lengths / whole.lengths
+    assert kept.min() >= 0.25 and kept.max() <= 1.0 and 0.5 < kept.mean() < 0.75
+    for one, other in zip(cut, whole, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions[: len(one.positions)])
 
 
 def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
@@ -186,7 +195,7 @@ def test_a_lockbox_has_its_own_seed_and_group_and_is_asked_on_its_test_split(
 
     monkeypatch.setattr(faithful, "judged", judged)
     faithful.main(unseen=[file], out=tmp_path / "out")
-    ((_, seed, split, _),) = asked
+    ((_, seed, split, *_),) = asked
     assert split == "test" and seed == faithful.own_seed(Demonstrations.load(file))
     assert seed != faithful.own_seed(load_packaged("newt"))
     assert "## Sets: unseen" in (tmp_path / "out" / "faithful.md").read_text()

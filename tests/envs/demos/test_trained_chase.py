@@ -19,6 +19,7 @@ from animarl_envs.demos.packaged import FOLDER, load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import fit_locomotion
 from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.importing.readers import read_tracks
 from animarl_envs.species import AGENT
 from tools.packaged_data.trained_chase import training as training_module
 from tools.packaged_data.trained_chase.__main__ import app, main
@@ -119,6 +120,18 @@ def test_one_command_trains_rolls_out_and_repeats(tmp_path: Path) -> None:
     tables = run("compare", str(made), "--weights", folder, "--episodes", "5")
     assert tables.count("\n\n") == 2
     assert "| untrained | untrained |" in tables
+
+
+def test_other_numbers_of_predators_are_a_strangers_table(tmp_path: Path) -> None:
+    table, folder = tmp_path / "three.csv", tmp_path / "runs"
+    asked = ["table", "--pursuers", "3", "--steps", "320", "--episodes", "12"]
+    done = CliRunner().invoke(app, [*asked, "--out", str(table), "--folder", str(folder)])
+    assert "12 synthetic chases" in done.output
+    names = ("predator_0", "predator_1", "predator_2", "prey")
+    (tracks,) = {t.individuals for t in read_tracks(table, fps=10.0)}
+    assert sorted(tracks) == sorted(names)
+    with pytest.raises(InputError, match=r"individual\.npz.*other settings"):
+        train(0, 0, replace(ChaseTraining(), steps=320), folder, pursuers=2)
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,12 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import FOLDER
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.species import AGENT
-from tools.packaged_data.trained_chase.chases import EPSILON, generate
+from tools.packaged_data.trained_chase.chases import EPSILON, chase, generate, write_csv
 from tools.packaged_data.trained_chase.comparison import (
     CROSS_EPISODES,
     condition_table,
@@ -75,6 +76,34 @@ def roll_out_command(
       python -m tools.packaged_data.trained_chase roll-out --seed 0 --out agent.npz
     """
     _roll_out(weights, out, seed, episodes, epsilon)
+
+
+@app.command("table")
+def table_command(
+    out: Annotated[Path, typer.Option(help="Table to write (.csv).")] = Path("chases.csv"),
+    folder: Annotated[Path, typer.Option(help="As of make.")] = Path("runs/other_chase"),
+    pursuers: Annotated[int, typer.Option(help="Predators.", min=1)] = 3,
+    seed: SeedOption = 0,
+    episodes: Annotated[int, typer.Option(help="Chases to write.")] = 200,
+    steps: Annotated[int, typer.Option(help="World steps of training.")] = ChaseTraining.steps,
+    epsilon: EpsilonOption = EPSILON,
+) -> None:
+    """Train other numbers of predators, each for its own reward; write a table of their tracks.
+
+    The table says no more than a stranger's would: who was where at 10 frames a second. A chase
+    that its time limit ends stops there like the others.
+
+    Example:
+
+      python -m tools.packaged_data.trained_chase table --pursuers 3 --out chases.csv
+    """
+    training = replace(ChaseTraining(), steps=steps)
+    weights, _ = load_weights(train(0, seed, training, folder, pursuers=pursuers))
+    policy = make_policy(weights, epsilon=epsilon, seed=seed, pursuers=pursuers)
+    chases = chase(policy, 0, episodes, seed)
+    write_csv(chases, policy.individuals, out)
+    share = float((chases.outcome > 0).mean())
+    print(f"wrote {out}: {episodes} synthetic chases, {share:.3f} of them end by contact")
 
 
 @app.command("compare")

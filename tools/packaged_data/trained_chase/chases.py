@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,19 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import animarl_envs
-from animarl_algos.evaluation.teams import load_weights, make_policy
+from animarl_algos.evaluation.teams import load_weights, make_policy, trained_species
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds.chase.world import ChaseWorld
 from tools.packaged_data import demonstrations_of
-from tools.packaged_data.trained_chase.training import (
-    TRAINED,
-    weights_file,
-)
+from tools.packaged_data.trained_chase.training import weights_file
 
 EPSILON = 0.1  # of the paper's tests of agents
 SPLIT_SHARES = (0.8, 0.1, 0.1)
@@ -41,7 +40,8 @@ def chase(policy: MlpPolicy, condition: int, episodes: int, seed: int) -> Chases
     """Let ``policy`` move everybody from uniform starts at rest until each episode's own end."""
     if episodes < 1:
         raise InputError(f"episodes is {episodes}: it must be at least 1")
-    scenario = make_scenario(TRAINED, demos=None, condition=condition)  # type: ignore[arg-type]
+    species = trained_species(len(policy.individuals) - 1)
+    scenario = make_scenario(species, demos=None, condition=condition)  # type: ignore[arg-type]
     world = ChaseWorld(scenario, episodes)
     streams = np.random.SeedSequence([seed, condition])
     world.seed(streams.generate_state(episodes, np.uint64))
@@ -106,6 +106,16 @@ def generate(folder: Path, seed: int, episodes: int, epsilon: float = EPSILON) -
         },
         name="trained chases",
     )
+
+
+def write_csv(chases: Chases, individuals: Sequence[str], file: Path) -> None:
+    """Write a table as a stranger's tracker would: recording, frame, individual, x, y."""
+    with write_then_rename(file) as part, part.open("w") as table:
+        table.write("recording,frame,individual,x,y\n")
+        for number, path in enumerate(chases.paths):
+            for frame, places in enumerate(path.tolist()):
+                for name, (x, y) in zip(individuals, places, strict=True):
+                    table.write(f"chase {number:04d},{frame},{name},{x:.6f},{y:.6f}\n")
 
 
 def _splits(episodes: int) -> NDArray[np.str_]:

@@ -12,6 +12,7 @@ import json
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,7 +30,6 @@ from animarl_envs.files import write_then_rename
 from animarl_envs.species import AGENT
 
 PACKAGED_WEIGHTS = packaged_team(AGENT.conditions[0]).parent
-TRAINED = trained_species()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +61,10 @@ def weights_file(folder: Path, condition: int) -> Path:
     return folder / f"{AGENT.conditions[condition]}.npz"
 
 
-def make_learner(condition: int, seed: int, training: ChaseTraining) -> DQN:
+def make_learner(condition: int, seed: int, training: ChaseTraining, pursuers: int = 2) -> DQN:
     """An untrained learner in its environment; condition 1 shares the reward of a capture."""
-    env = SlotVecEnv(TRAINED, training.copies, demos=None, condition=condition, dtw=None)
+    species = trained_species(pursuers)
+    env = SlotVecEnv(species, training.copies, demos=None, condition=condition, dtw=None)
     return DQN(
         "MlpPolicy",
         env,
@@ -90,6 +91,7 @@ def train(
     training: ChaseTraining,
     folder: Path,
     *,
+    pursuers: int = 2,
     progress_bar: bool = True,
 ) -> Path:
     """Train one condition and write its weights; go on from the last checkpoint, or do nothing.
@@ -107,11 +109,14 @@ def train(
         If ``folder`` holds weights of other settings or another seed.
     """
     file = weights_file(folder, condition)
+    meta: dict[str, Any] = {"condition": condition, "seed": seed, "training": asdict(training)}
+    if pursuers != 2:  # the packaged weights, of two, do not say it
+        meta["pursuers"] = pursuers
     if file.exists():
-        _refuse_other_settings(file, condition, seed, training)
+        _refuse_other_settings(file, meta)
         return file
     torch.set_num_threads(1)
-    model = make_learner(condition, seed, training)
+    model = make_learner(condition, seed, training, pursuers)
     name = AGENT.conditions[condition]
     checkpoints = folder / "checkpoints" / name
     resumed = latest_checkpoint(checkpoints) is not None
@@ -126,7 +131,6 @@ def train(
             reset_num_timesteps=not resumed,
             progress_bar=progress_bar,
         )
-    meta = {"condition": condition, "seed": seed, "training": asdict(training)}
     arrays = {key: value.numpy() for key, value in model.policy.q_net.state_dict().items()}
     arrays[META] = np.array(json.dumps(meta))
     with write_then_rename(file) as part:
@@ -134,12 +138,9 @@ def train(
     return file
 
 
-def _refuse_other_settings(file: Path, condition: int, seed: int, training: ChaseTraining) -> None:
-    asked = json.loads(
-        json.dumps({"condition": condition, "seed": seed, "training": asdict(training)})
-    )
+def _refuse_other_settings(file: Path, meta: dict[str, Any]) -> None:
     _, stored = load_weights(file)
-    if stored != asked:
+    if stored != json.loads(json.dumps(meta)):
         raise InputError(
             f"{file}: it was trained with other settings or another seed: "
             "choose another folder or remove it"
