@@ -23,8 +23,6 @@ shows that everything runs.
 
 from __future__ import annotations
 
-import argparse
-import csv
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import cache, partial
@@ -36,14 +34,11 @@ import gymnasium as gym
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
-from tasks import SHOWN, Rows, SlotsOnly
+from tasks import SHOWN, Rows, SlotsOnly, parsed_arguments, write_table
 
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.files import write_then_rename
 from animarl_envs.species import SPECIES
 from animarl_envs.views.common import task_options, viewed_scenario
 from animarl_envs.worlds import make_world
@@ -317,30 +312,13 @@ def measure(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--task", action="append", choices=TASKS, help="one of them; default all")
-    parser.add_argument("--seed", action="append", type=int, help="default 0, 1 and 2")
-    parser.add_argument("--learner", action="append", choices=LEARNERS, help="default all")
-    parser.add_argument("--quick", action="store_true", help="that everything runs")
-    parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
-    quick = arguments.quick
-    out = arguments.out or Path("out/baselines_quick" if quick else "docs/results/tasks")
+    arguments = parsed_arguments(__doc__, TASKS, LEARNERS)
+    out = arguments.out or Path("out/baselines_quick" if arguments.quick else "docs/results/tasks")
     rows = Rows(out / "team_scores.csv")
-    for task in arguments.task or TASKS:
-        seeds = arguments.seed or ((0,) if quick else (0, 1, 2))
-        measure(rows, task, arguments.learner or list(LEARNERS), seeds, quick)
-    listed = table(rows)
-    shown = Table(title="Teams: returns and scores (random 0, demonstrations 1)")
-    for heading in COLUMNS:
-        shown.add_column(heading)
-    for row in listed:
-        shown.add_row(*row)
-    with write_then_rename(out / "teams.csv") as part, part.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *listed])
-    Console().print(shown)
+    for task in arguments.task:
+        measure(rows, task, arguments.learner, arguments.seed, arguments.quick)
+    title = "Teams: returns and scores (random 0, demonstrations 1)"
+    write_table(title, COLUMNS, table(rows), out / "teams.csv")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ import argparse
 import csv
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -366,33 +366,50 @@ def scores(rows: Rows, task: str) -> list[tuple[str, ...]]:
     return listed
 
 
-def main() -> None:
+def parsed_arguments(
+    doc: str | None, tasks: Sequence[str], learners: Iterable[str]
+) -> argparse.Namespace:
+    """Options of this benchmark and of that of teams, with what they are by default."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--task", action="append", choices=TASKS, help="one of them; default all")
+    parser.add_argument("--task", action="append", choices=tasks, help="one of them; default all")
     parser.add_argument("--seed", action="append", type=int, help="default 0, 1 and 2")
-    parser.add_argument("--learner", action="append", choices=LEARNERS, help="default both")
-    parser.add_argument("--quick", action="store_true", help="that everything runs, two minutes")
+    parser.add_argument(
+        "--learner", action="append", choices=list(learners), help="one of them; default all"
+    )
+    parser.add_argument("--quick", action="store_true", help="that everything runs")
     parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
-    quick = arguments.quick
-    out = arguments.out or Path("out/tasks_quick" if quick else "docs/results/tasks")
-    rows = Rows(out / "scores.csv")
-    table = Table(title="Returns and scores (random 0, best learner 1)")
-    for heading in COLUMNS:
+    found = parser.parse_args()
+    found.task = found.task or list(tasks)
+    found.learner = found.learner or list(learners)
+    found.seed = found.seed or ([0] if found.quick else [0, 1, 2])
+    return found
+
+
+def write_table(
+    title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], path: Path
+) -> None:
+    """Print a table, and write it as CSV."""
+    table = Table(title=title)
+    for heading in columns:
         table.add_column(heading)
-    listed: list[tuple[str, ...]] = []
-    for task in arguments.task or TASKS:
-        seeds = arguments.seed or ((0,) if quick else (0, 1, 2))
-        measure(rows, task, arguments.learner or list(LEARNERS), seeds, quick)
-    for task in TASKS:  # those of earlier commands too
-        for row in scores(rows, task):
-            listed.append(row)
-            table.add_row(*row)
-    with write_then_rename(out / "table.csv") as part, part.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *listed])
+    for row in rows:
+        table.add_row(*row)
+    with write_then_rename(path) as part, part.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns, *rows])
     Console().print(table)
+
+
+def main() -> None:
+    arguments = parsed_arguments(__doc__, list(TASKS), LEARNERS)
+    out = arguments.out or Path("out/tasks_quick" if arguments.quick else "docs/results/tasks")
+    rows = Rows(out / "scores.csv")
+    for task in arguments.task:
+        measure(rows, task, arguments.learner, arguments.seed, arguments.quick)
+    listed = [row for task in TASKS for row in scores(rows, task)]  # of earlier commands too
+    title = "Returns and scores (random 0, best learner 1)"
+    write_table(title, COLUMNS, listed, out / "table.csv")
 
 
 if __name__ == "__main__":

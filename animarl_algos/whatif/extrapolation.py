@@ -46,7 +46,7 @@ PHRASES = {
     # the individual itself or one of the others; WAY and SIDE follow from the name's last word.
     r"mean velocity over (.*) / .*": r"over the last \1 WHO moved WAY faster",
     r"log of \(mean \w+ over (.*) / .*": r"over the last \1 WHO was [slower|faster]",
-    r"log of \(speed (\d+) delays ago.*": r"\1 tenths of a second ago WHO was [slower|faster]",
+    r"log of \(speed \d+ delays ago.*": "in the last second or so WHO was [slower|faster]",
     r"mean turn of the course over (.*)": r"over the last \1 WHO turned [right|left] faster",
     r"(own )?velocity harmonic.*|body angle.*": f"WHO moves {NEW}",
     r"(own )?velocity.*": "WHO moves WAY faster",

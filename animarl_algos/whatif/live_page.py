@@ -26,7 +26,7 @@ from animarl_algos.whatif.answer import TrainedRun, quantities_of
 from animarl_algos.whatif.extrapolation import InputRange
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import COURSE, is_free
@@ -143,25 +143,27 @@ def _refuse(scenario: Scenario) -> None:
     species = scenario.species
     searcher = species if isinstance(species, SearchSpecies) else None
     many = len(species.individuals)
+    instead = "use 'animarl whatif'"
     refused = {
-        f"{many} individuals are more than the {MOST_INDIVIDUALS} that a page can simulate":
+        f"{many} individuals are more than the {MOST_INDIVIDUALS} that a page can simulate: "
+        f"{instead}":
             many > MOST_INDIVIDUALS,
         "only some individuals of this run learned and the others follow their recordings, which "
-        "a page does not carry: train all of them, or":
+        f"a page does not carry: train all of them, or {instead}":
             any(driver != "action" for driver in scenario.drivers),
-        "the senses of this run are noisy or late, which a page does not simulate":
+        f"the senses of this run are noisy or late, which a page does not simulate: {instead}":
             bool(scenario.observation_noise or scenario.observation_delay),
         "the individuals of this run have headings of their own, which a page does not simulate: "
-        "train without senses_heading, or":
+        f"train without senses_heading, or {instead}":
             isinstance(species, ChaseSpecies) and species.has_headings,
-        "the individuals of this run differ by traits, which a page does not simulate":
+        "the individuals of this run differ by traits, which a page does not simulate: "
+        f"{instead}":
             searcher is not None and searcher.traits is not None,
-        "this run searches a plume of the user's own, which a page does not carry":
+        f"this run searches a plume of the user's own, which a page does not carry: {instead}":
             searcher is not None and not isinstance(as_plume(searcher.plume), ModelPlume),
     }  # fmt: skip
-    for why, holds in refused.items():
-        if holds:
-            raise InputError(f"{why}{'' if why.endswith('or') else ':'} use 'animarl whatif'")
+    for sentence, holds in refused.items():
+        require(not holds, sentence)
 
 
 def _packed(array: NDArray[Any]) -> dict[str, Any]:

@@ -8,17 +8,8 @@ import pytest
 
 from animarl_algos import load_run
 from animarl_envs.errors import InputError
-from benchmarks.whatif_truth import (
-    Truth,
-    answered,
-    bars,
-    entered_run,
-    false_claims,
-    held_out_rules,
-    rows,
-    summary,
-    warned,
-)
+from benchmarks.whatif_bars import bars, held_out_rules, summary, warned
+from benchmarks.whatif_truth import Truth, answered, entered_run, false_claims, rows
 
 
 def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is_caught() -> None:
