@@ -184,9 +184,10 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
         f"| {row.beyond:.0%} | {row.readings} | {row[3]:.0%} | {row[4]:.0%} |"
         for row in criteria(table).itertuples()
     ]
-    lines += ["", "Rules of a warning, each judged on the set that it was not made on:", ""]
-    lines += [*map(str.strip, str(held_out_rules.__doc__).strip().splitlines()[2:]), ""]
-    lines += ["| rule | of wrong rows of the set left out | of others |", "|---|---|---|"]
-    lines += [f"| {row.rule} | {row[2]:.0%} | {row[3]:.0%} |"
-              for row in held_out_rules(table).itertuples()]  # fmt: skip
+    if table["set"].nunique() > 1:
+        lines += ["", "Rules of a warning, each judged on the set that it was not made on:", ""]
+        lines += [*map(str.strip, str(held_out_rules.__doc__).strip().splitlines()[2:]), ""]
+        lines += ["| rule | of wrong rows of the set left out | of others |", "|---|---|---|"]
+        lines += [f"| {row.rule} | {row[2]:.0%} | {row[3]:.0%} |"
+                  for row in held_out_rules(table).itertuples()]  # fmt: skip
     return "\n".join([*lines, ""])

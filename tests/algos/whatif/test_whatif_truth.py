@@ -8,7 +8,7 @@ import pytest
 
 from animarl_algos import load_run
 from animarl_envs.errors import InputError
-from benchmarks.whatif_bars import bars, held_out_rules, summary, warned
+from benchmarks.whatif_bars import bars, held_out_rules, page, summary, warned
 from benchmarks.whatif_truth import Truth, answered, entered_run, false_claims, rows
 
 
@@ -34,6 +34,9 @@ def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is
     assert int(caught[0]) >= 4 and caught[1] == str(table["wrong"].sum())
     assert "1 of 3 changes are predicted wrongly" in warned(table)
     assert "1 of these have a red warning" in warned(table)
+    written = page(table.assign(commit="abc"), summary(table), bars(table))
+    assert "agent: 1 training seed, commit abc" in written
+    assert "judged on the set" not in written  # there is no other
 
 
 def test_a_rule_of_a_warning_is_judged_on_the_set_that_it_was_not_made_on() -> None:
