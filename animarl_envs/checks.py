@@ -1,15 +1,17 @@
 """Tests of numbers and names, and dataclass fields that are options of the command line."""
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import field, fields
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import field, fields, is_dataclass
 from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from animarl_envs.errors import InputError, printable, require
 
-__all__ = ["check_names", "check_options", "is_number", "is_whole", "option", "printable"]
+__all__ = [
+    "check_names", "check_options", "is_number", "is_whole", "option", "plain", "printable",
+]  # fmt: skip
 
 LONGEST_NAME = 200  # characters
 FORMULA = "=+-@"  # with which a spreadsheet begins to compute
@@ -56,6 +58,23 @@ def is_number(value: object) -> bool:
 def is_whole(value: object) -> bool:
     """A whole number, Python's or NumPy's; truth values are none."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def plain(value: Any) -> Any:
+    """Convert to numbers, texts, lists and dictionaries; an array of frames becomes its shape."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist()) if value.ndim <= 2 else f"array of shape {value.shape}"
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, str | int | float | None) else str(value)
 
 
 def check_names(place: str, what: str, names: Iterable[object]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import typer
@@ -13,7 +13,7 @@ from rich.table import Table
 
 from animarl_algos.cli.describing import hints, report, show, wide_console
 from animarl_algos.cli.main import SETTINGS
-from animarl_algos.cli.shared import SOURCE, load, refuse_overwriting, write_csv
+from animarl_algos.cli.shared import SOURCE, helps, load, refuse_overwriting, write_csv
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal
@@ -29,12 +29,9 @@ app = typer.Typer(
     no_args_is_help=True,
     **SETTINGS,
 )
-DemosArgument = Annotated[
-    str,
-    typer.Argument(help="A demonstrations file, or a packaged set, such as agent or shoal."),
-]
+FILE = "A demonstrations file, or a packaged set, such as agent or shoal."
+OUT = typer.Option(help="Where to write.")
 SHOWN_WARNINGS = 20
-OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
 
 
 @app.callback()
@@ -57,7 +54,8 @@ def sources_command() -> None:
 
 
 @app.command("show")
-def show_command(file: DemosArgument) -> None:
+@helps(file=FILE)
+def show_command(file: str) -> None:
     """Show a file: individuals, episodes, durations, speeds, outcomes, provenance.
 
     Examples:
@@ -70,10 +68,8 @@ def show_command(file: DemosArgument) -> None:
 
 
 @app.command("check")
-def check_command(
-    file: DemosArgument,
-    out: Annotated[Path | None, typer.Option(help="Table of episodes to write (.csv).")] = None,
-) -> None:
+@helps(file=FILE, out="Table of episodes to write (.csv).")
+def check_command(file: str, out: Path | None = None) -> None:
     """Validate a file, list suspicious episodes, and write a table of episodes.
 
     Example:
@@ -98,13 +94,17 @@ def check_command(
 
 
 @app.command("split")
+@helps(
+    file=FILE, out=OUT, by="recording, episode or group.", pattern="group: regular expression.",
+    fractions="Shares of train, val, test.", seed="Seed of the new splits.",
+)  # fmt: skip
 def split_command(
-    file: DemosArgument,
-    out: OutOption,
-    by: Annotated[str, typer.Option(help="recording, episode or group.")] = "recording",
-    pattern: Annotated[str | None, typer.Option(help="group: regular expression.")] = None,
-    fractions: Annotated[str, typer.Option(help="Shares of train, val, test.")] = "0.8,0.1,0.1",
-    seed: Annotated[int, typer.Option(help="Seed of the new splits.")] = 0,
+    file: str,
+    out: Path,
+    by: str = "recording",
+    pattern: str | None = None,
+    fractions: str = "0.8,0.1,0.1",
+    seed: int = 0,
 ) -> None:
     """Assign episodes to train, val and test again; by default recordings stay together.
 
@@ -126,16 +126,12 @@ def split_command(
 
 
 @app.command("merge")
-def merge_command(
-    files: Annotated[list[Path], typer.Argument(help="Two files of demonstrations or more.")],
-    out: Annotated[Path, typer.Option("--out", help="Demonstrations to write (.npz).")],
-    conditions: Annotated[
-        str | None,
-        typer.Option(
-            help="Condition of each file: 0,1 or two words (control,drug); default: as they are."
-        ),
-    ] = None,
-) -> None:
+@helps(
+    files="Two files of demonstrations or more.",
+    out=typer.Option(help="Demonstrations to write (.npz)."),
+    conditions="Condition of each file: 0,1 or two words (control,drug); default: as they are.",
+)
+def merge_command(files: list[Path], out: Path, conditions: str | None = None) -> None:
     """Join files of demonstrations of the same animals in the same arena.
 
     Splits stay as they are; 'animarl data split' deals again.
@@ -152,11 +148,8 @@ def merge_command(
 
 
 @app.command("convert")
-def convert_command(
-    file: DemosArgument,
-    out: OutOption,
-    source: Annotated[str | None, typer.Option(help="Reader of the file.")] = None,
-) -> None:
+@helps(file=FILE, out=OUT, source="Reader of the file.")
+def convert_command(file: str, out: Path, source: str | None = None) -> None:
     """Convert to .npz, .csv (long table), or a Minari dataset (a folder, no suffix).
 
     Examples:
@@ -179,9 +172,8 @@ def convert_command(
 
 
 @app.command("minari")
-def minari_command(
-    out: Annotated[Path, typer.Option("--out", help="Folder for all sets, new or without them.")],
-) -> None:
+@helps(out=typer.Option(help="Folder for all sets, new or without them."))
+def minari_command(out: Path) -> None:
     """Write all packaged sets as Minari datasets, animarl/newt/demonstrations-v0 and the like.
 
     Example:
@@ -194,7 +186,8 @@ def minari_command(
 
 
 @app.command("plot")
-def plot_command(file: DemosArgument, out: OutOption) -> None:
+@helps(file=FILE, out=OUT)
+def plot_command(file: str, out: Path) -> None:
     """Draw tracks, durations, path lengths, speeds and distances (.png, .svg, .pdf).
 
     Example:
@@ -208,16 +201,11 @@ def plot_command(file: DemosArgument, out: OutOption) -> None:
 
 
 def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstrations:
-    """The demonstrations of several files, in their order.
+    """The demonstrations of two files or more, in their order.
 
-    Raises InputError if the sets do not fit together, or conditions are not one for each file.
-
-    Parameters
-    ----------
-    files
-        Two or more.
-    conditions
-        Of each file, such as ``0,1`` or ``control,drug``; by default those of their episodes.
+    ``conditions`` are those of each file, such as ``0,1`` or ``control,drug``; by default those of
+    their episodes. Raises InputError if the sets do not fit together, or conditions are not one for
+    each file.
     """
     several = f"{files[0]}: there is nothing to merge it with: give two files or more"
     require(len(files) > 1, several)

@@ -16,16 +16,10 @@ from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
-from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise, unit_of
-from animarl_envs.importing.cleaning import LIKELY
 from animarl_envs.importing.import_recipe import ImportRecipe
 
 Row = tuple[str, str]
-SPLIT_BY = {
-    "auto": f"recording (by episode with fewer than {FEWEST_RECORDINGS})",
-    "group": "groups of recordings",
-}
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
 STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
 SMOOTH = 2.0  # cutoff against such noise [Hz]
@@ -90,67 +84,23 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
 
 
 def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
-    """Return what an import is going to do, line by line."""
-    clean, scale, cut, split = recipe.cleaning, recipe.scaling, recipe.cutting, recipe.splitting
-    cleaning = [f"keypoint {clean.keypoint}"]
-    if clean.heading is not None:
-        cleaning.append(f"heading from {clean.heading[0]} to {clean.heading[1]}")
-    if clean.min_confidence is None:
-        cleaning.append(f"likelihoods below {LIKELY:g} not used")
-    elif clean.min_confidence:
-        cleaning.append(f"confidence of at least {clean.min_confidence:g}")
-    cleaning.append(
-        f"gaps of up to {clean.max_gap:g} s filled" if clean.max_gap else "gaps not filled"
-    )
-    cleaning.append("jumps taken out" if clean.drop_jumps else "jumps flagged")
-    cutoff = clean.smoothing_cutoff
-    cleaning.append(f"smoothed at {cutoff:g} Hz" if cutoff else "not smoothed")
-    if scale.shape == "open":
-        units = scale.units_per_arena_unit
-        size = "half the extent of all recordings" if units is None else f"{units:g} file units"
-        scaling = f"open field, {size} to an arena unit"
-    else:
-        unit = "units of the file" if scale.px_per_cm is None else "cm"
-        extent = "each recording's own extent" if scale.each else "the extent of all recordings"
-        size = extent if scale.width is None else f"{scale.width:g} {unit} wide"
-        scaling = f"{scale.shape}, {size}"
-        if scale.centre is not None:
-            scaling += f" around ({scale.centre[0]:g}, {scale.centre[1]:g})"
-    if scale.px_per_cm is not None:
-        scaling += f", {scale.px_per_cm:g} of the file's units to 1 cm"
-    if cut.mode == "approach":
-        cutting = (
-            f"from farther than {cut.farther_than:g} to closer than {cut.closer_than:g} arena units"
+    """Return what an import is going to do: all that its recipe says, part by part."""
+
+    def said(value: Any) -> str:
+        return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+    def listed(entries: Mapping[str, Any]) -> str:
+        told = {key: value for key, value in entries.items() if value not in (None, {}, "inf")}
+        return "; ".join(
+            f"{key.replace('_', ' ')} {said(value)}"
+            for key, value in told.items()
+            if value is not False
         )
-    elif cut.mode == "events":
-        cutting = f"by the table {cut.events}"
-    else:
-        cutting = "whole stretches without gaps"
-        if cut.piece is None:
-            cutting += ", a lone recording in pieces"
-        elif cut.piece < math.inf:
-            cutting += f" in pieces of {cut.piece:g} s"
-    rate = "the file's" if recipe.frame_rate is None else f"{recipe.frame_rate:g} Hz"
-    decisions = "every frame" if recipe.decision_rate is None else f"{recipe.decision_rate:g} Hz"
-    return [
-        ("read as", f"{source}, {counted(len(files), 'file')}"),
-        ("frame rate", f"{rate}; decisions at {decisions}"),
-        ("target", _target(recipe)),
-        ("cleaning", ", ".join(cleaning)),
-        ("scaling", scaling),
-        ("episodes", cutting),
-        ("splits", f"by {SPLIT_BY.get(split.by, split.by)}, seed {split.seed}"),
-    ]
 
-
-def _target(recipe: ImportRecipe) -> str:
-    if recipe.searcher:
-        return "the source at the origin"
-    if recipe.pursuer is not None:
-        return f"all but {recipe.pursuer}, who pursues them"
-    if recipe.target is None:
-        return "none named"
-    return "who is approached" if recipe.target == "auto" else recipe.target
+    record = recipe.to_dict()
+    parts = {name: record.pop(name) for name in ("cleaning", "scaling", "cutting", "splitting")}
+    rows = {"read as": f"{source}, {counted(len(files), 'file')}", "recipe": listed(record)}
+    return list((rows | {name: listed(part) for name, part in parts.items()}).items())
 
 
 def _arena(demos: Demonstrations) -> str:

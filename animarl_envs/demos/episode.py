@@ -23,8 +23,8 @@ from typing import Any, ClassVar, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.arena import Arena
-from animarl_envs.errors import InputError
+from animarl_envs.checks import plain
+from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import read_npz, write_then_rename
 from animarl_envs.focus import is_free
 
@@ -279,18 +279,10 @@ def refusing_damage(
     """Turn what the content of a damaged file raises into one sentence."""
     try:
         yield
-    except InputError:
+    except (InputError, MissingExtraError, MemoryError):
         raise
-    except (LookupError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as e:
+    except Exception as e:
         raise InputError(f"{path}: its content is damaged ({type(e).__name__}: {e}): {fix}") from e
-
-
-def plain(value: Any) -> Any:
-    """Return an arena or a mapping as JSON can hold it."""
-    if isinstance(value, Arena):
-        boundary = value.boundary if np.isfinite(value.boundary) else "inf"
-        return vars(value) | {"boundary": boundary}
-    return dict(value)
 
 
 Floats = NDArray[np.float64]

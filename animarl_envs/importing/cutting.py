@@ -114,14 +114,8 @@ def cut_episodes(
 ) -> list[Cut]:
     """Episodes of one recording.
 
-    Parameters
-    ----------
-    bodies
-        ``(frames, individuals, 2)`` [arena unit]; NaN where not tracked.
-    roles
-        Of the individuals, the target last.
-    frame_rate
-        [Hz].
+    ``bodies`` are ``(frames, individuals, 2)`` [arena unit], NaN where not tracked, ``roles`` those
+    of the individuals, the target last, ``frame_rate`` is in Hz.
     """
     found: list[Cut] = []
     distance = distances_to_target(bodies, roles)
@@ -310,20 +304,12 @@ def pursued_individual(bodies: Sequence[Floats]) -> int | None:
 
 
 def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
-    """Return the largest distance of contact that ends recordings, where nobody states it.
+    """Return the largest distance of contact that ends recordings, where nobody states it, or None.
 
     Some recordings are stopped, by hand or by the program, as soon as the target is reached. Then
     there is a distance within which nearly nobody comes before the last frame, and within which
     most recordings end. Chance leaves no such distance: the last frame is the nearest one rarely.
-
-    Parameters
-    ----------
-    nearest
-        Of each recording ``(frames,)``, how far the nearest pursuer is from the target.
-
-    Returns
-    -------
-    The distance, a trifle beyond the farthest contact; ``None`` where there is none.
+    ``nearest`` ``(frames,)`` of each recording is how far the nearest pursuer is from the target.
     """
     known = [one for one in nearest if len(one) > 1 and np.isfinite(one).all()]
     if len(known) < FEWEST_ENDS:
@@ -342,10 +328,7 @@ def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
 def check_events(path: Path, recordings: Sequence[str]) -> None:
     """Warn of events of recordings that there are none of: misspelt, or of files left out.
 
-    Raises
-    ------
-    InputError
-        If all are.
+    Raises InputError if all are.
     """
     rows, _ = read_rows(path, NEEDED)
     strange = [(line, row["recording"]) for line, row in rows if row["recording"] not in recordings]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from animarl_envs.checks import check_options, option
+from animarl_envs.checks import check_options, option, plain
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.files import read_yaml, write_then_rename
@@ -95,7 +94,8 @@ class ImportRecipe:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, infinity as a string."""
-        return {key: _plain(value) for key, value in asdict(self).items()}
+        found: dict[str, Any] = plain(self)
+        return found
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], name: str = "recipe") -> ImportRecipe:
@@ -143,11 +143,3 @@ def _build(kind: type[Any], values: Any, name: str) -> Any:
         raise InputError(f"{name}: {error}") from None
     except (TypeError, ValueError) as error:
         raise InputError(f"{name}: a value does not fit ({error}): check the recipe") from None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_plain(entry) for entry in value]
-    return str(value) if value in (math.inf, -math.inf) else value

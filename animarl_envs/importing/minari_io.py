@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import plain
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, plain, refusing_damage
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.files import refuse_special

@@ -63,10 +63,7 @@ class Sessions:
     def of(self, recording: str) -> Session:
         """The session of a recording, also where it stands with its file's ending.
 
-        Raises
-        ------
-        InputError
-            If there is none.
+        Raises InputError if there is none.
         """
         if self.by_recording is None:
             return Session()
@@ -127,10 +124,7 @@ def read_sessions(path: Path) -> Sessions:
     Conditions are 0 and 1, or two words, of which the first that occurs is 0. Roles are a column
     ``target`` with a name, or rows of ``recording, individual, role``.
 
-    Raises
-    ------
-    InputError
-        One sentence with the line.
+    Raises InputError in one sentence with the line.
     """
     rows, names = read_rows(path, {"recording"})
     found: dict[str, Session] = {}
@@ -149,10 +143,7 @@ def read_sessions(path: Path) -> Sessions:
 def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
     """What a regular expression with groups named as :data:`GROUPS` finds in names of recordings.
 
-    Raises
-    ------
-    InputError
-        If it is none, has no such group, or does not fit a name.
+    Raises InputError if it is none, has no such group, or does not fit a name.
     """
     place = f"name pattern {pattern!r}"
     matches = search_names(pattern, list(recordings), place)
@@ -260,10 +251,8 @@ def assign_focus(
 ) -> tuple[list[Tracks], FocusRole | None]:
     """Whom all others face, and the recordings, named by role where theirs differ.
 
-    Raises
-    ------
-    InputError
-        If a target is named for some recordings only, some have several, or their units differ.
+    Raises InputError if a target is named for some recordings only, some have several, or their
+    units differ.
     """
     first = recordings[0]
     for one in recordings:

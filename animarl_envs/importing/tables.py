@@ -1,7 +1,7 @@
 """Tables of text, Excel or Parquet: their names, and their columns as numbers or words.
 
-Pandas parses all of them. What it would read in silence as other numbers is refused before or
-after: lines of another length, truth values, whole numbers that no float holds, empty names.
+Arrow parses all of them, and Excel's sheets once pandas has made text of them. It refuses lines of
+another length, truth values among numbers, and whole numbers that no float holds.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ import datetime
 import gzip
 import io
 import itertools
-import zlib
+import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
@@ -43,12 +44,13 @@ EXTENSIONS = (
 PARQUET = {".parquet", ".pq"}
 PACKED = ".gz"
 HEAD = 2**18  # [bytes] that are looked at
-BLOCK = 2**20  # [bytes] that are checked at once
+BLOCK = 2**20  # [bytes] that are parsed at once
 LONGEST_LINE = 2**20
 MOST_COLUMNS = 10_000
 OLD_EXCEL = bytes.fromhex("d0cf11e0a1b11ae1")
-NO_VALUE = "-"  # of EthoVision
-MISSING = {"", NO_VALUE, "NA", "N/A", "n/a", "NULL", "null", "None", "#N/A", "#NA", "<NA>"}
+_NULLS = ["", "-", "NA", "N/A", "n/a", "NULL", "null", "None", "nan", "NaN", "#N/A", "#NA", "<NA>"]
+NULLS = [" " * blanks + sign for sign in _NULLS for blanks in range(32)]
+"""What stands in an empty cell; a dash in those of EthoVision."""
 Progress = Callable[[float], None] | None
 
 
@@ -110,9 +112,7 @@ class Table(Layout):
 
     def check_lines(self) -> None:
         """Check all lines of a table that another package is going to read."""
-        with contextlib.closing(self._rows()) as file:
-            for _ in self._checked_blocks(file, None):
-                pass
+        self._text([], self.names[:1], None)
 
     def columns(
         self, numbers: Sequence[str], words: Sequence[str] = (), progress: Progress = None
@@ -131,28 +131,35 @@ class Table(Layout):
                     f"{', '.join(self.names)[:200]}): name the column by an option"
                 )
         read = self._parquet if self.kind == "Parquet" else self._text
-        column = read(numbers, list(words), progress)
-        if not column or not len(next(iter(column.values()))):
+        column = read(numbers, words, progress)
+        if not column.num_rows:
             raise InputError(f"{self.path}: it has a header but no rows: check the file")
         found = {name: self._words(name, column[name]) for name in words}
-        return {name: column[name].to_numpy(np.float64) for name in numbers}, found
+        return {name: column[name].to_numpy() for name in numbers}, found
 
     def _words(self, name: str, column: Any) -> Words:
-        number, entries = _pandas().factorize(column)
-        if (number < 0).any():
+        codes = column.combine_chunks()
+        codes = codes if hasattr(codes, "dictionary") else codes.dictionary_encode()
+        known = [*codes.dictionary.to_pylist(), ""]  # the last one of empty cells
+        number = codes.indices.fill_null(len(known) - 1).to_numpy()
+        used = np.flatnonzero(np.bincount(number, minlength=len(known)))
+        texts = [str(known[code]).strip() for code in used]
+        if len(longest := max(texts, key=len)) > LONGEST_NAME:
             raise InputError(
-                f"{self.path}: {self.place(int((number < 0).argmax()))} has no {name}: fill it in, "
+                f"{self.path}: column {name!r} has an entry of {len(longest):,} characters: give "
+                f"names of at most {LONGEST_NAME}"
+            )
+        entries = sorted({*texts} - {""})
+        places = {text: place for place, text in enumerate(entries)} | {"": -1}
+        place = np.full(len(known), -1)
+        place[used] = [places[text] for text in texts]
+        own = place[number]
+        if (own < 0).any():
+            raise InputError(
+                f"{self.path}: {self.place(int((own < 0).argmax()))} has no {name}: fill it in, "
                 "or leave the row out"
             )
-        texts = [str(entry) for entry in entries]
-        longest = max(map(len, texts), default=0)
-        if longest > LONGEST_NAME:
-            raise InputError(
-                f"{self.path}: column {name!r} has an entry of {longest:,} characters: give names "
-                f"of at most {LONGEST_NAME}"
-            )
-        order = sorted(range(len(texts)), key=texts.__getitem__)
-        return Words([texts[i] for i in order], np.argsort(order)[number])
+        return Words(entries, own)
 
     # -- text ----------------------------------------------------------------------------------
 
@@ -181,58 +188,9 @@ class Table(Layout):
             file.readline(LONGEST_LINE)
         return file
 
-    def _checked_blocks(self, file: IO[bytes], progress: Progress) -> Iterator[bytes]:
-        """Blocks of whole lines, each with as many cells as the header.
-
-        Parsers fill short lines with nothing and drop what a long line has too much. After a cut or
-        a lost piece that shifts numbers into the wrong columns without a word. Separators and line
-        ends inside quotes belong to the cell; blank lines count for none.
-        """
-        size, seen = max(len(self._content or b"") or self.path.stat().st_size, 1), 0
-        line = 1 + self.first
-        while block := file.read(BLOCK) + file.readline():
-            parts, quotes = [block], block.count(b'"')
-            while quotes % 2:
-                if not (more := file.read(BLOCK) + file.readline()):
-                    raise InputError(f"{self.path}: a quote is never closed: correct the file")
-                parts.append(more)
-                quotes += more.count(b'"')
-            block = b"".join(parts)
-            line += self._check_block(np.frombuffer(block, dtype=np.uint8), line, quotes > 0)
-            if not block.endswith(b"\n"):
-                raise files.unfinished(self.path)
-            yield block
-            seen += len(block)
-            if progress is not None:
-                progress(min(seen / size, 1.0))
-
-    def _check_block(self, block: NDArray[np.uint8], line: int, quoted: bool) -> int:
-        """Return the number of lines of a block; ``line`` is the number of the first one."""
-        if (block == 0).any():
-            raise InputError(f"{self.path}: it holds NUL bytes: it is no text table")
-        returns = np.flatnonzero(block[:-1] == ord("\r"))
-        if (block[returns + 1] != ord("\n")).any():
-            raise InputError(
-                f"{self.path}: a carriage return stands alone: end lines with a line feed"
-            )
-        inside = np.cumsum(block == ord('"')) % 2 == 1 if quoted else np.False_
-        ends = np.flatnonzero((block == ord("\n")) & ~inside)
-        if block[-1] != ord("\n"):
-            ends = np.append(ends, len(block))
-        separators = np.flatnonzero((block == ord(self.parsed_separator)) & ~inside)
-        cells = np.diff(np.searchsorted(separators, ends), prepend=0) + 1
-        length = np.diff(ends, prepend=-1) - 1
-        length -= (block[ends - 1] == ord("\r")) & (length > 0)
-        wrong = np.flatnonzero((cells != len(self.names)) & (length > 0))
-        if len(wrong):
-            raise InputError(
-                f"{self.path}: line {line + wrong[0]} has {cells[wrong[0]]} cells, the header "
-                f"{len(self.names)}: correct the line, or copy the file again"
-            )
-        return len(ends)
-
-    def _text(self, numbers: list[str], words: list[str], progress: Progress) -> dict[str, Any]:
-        pandas = _pandas()
+    def _text(self, numbers: Sequence[str], words: Sequence[str], progress: Progress) -> Any:
+        """Parsed by Arrow, which refuses a line with more or fewer cells than the header."""
+        pyarrow, arrow = _pyarrow("csv")
         if self.unclear:
             plain, decimal = (self.unclear.replace(self.decimal, sign) for sign in ("", "."))
             raise InputError(
@@ -240,58 +198,62 @@ class Table(Layout):
                 f"signs between thousands, or say --option decimal={self.decimal!r} if it is the "
                 "decimal sign"
             )
-        at = {name: self.names.index(name) for name in (*numbers, *words)}
-        kinds = {i: "category" if name in words else np.float64 for name, i in at.items()}
+        if self._content is None:
+            files.refuse_unfinished(self.path)
+        elif not self._content.endswith(b"\n"):
+            raise files.unfinished(self.path)
+        asked = [*numbers, *words]
+        at = [str(self.names.index(name)) for name in asked]
+        kinds = [pyarrow.float64()] * len(numbers)
+        kinds += [pyarrow.dictionary(pyarrow.int32(), pyarrow.string())] * len(words)
+        positions = [str(i) for i in range(len(self.names))]
+        size = max(len(self._content or b"") or self.path.stat().st_size, 1)
+        batches = []
         try:
             with contextlib.closing(self._rows()) as file:
-                frame = pandas.read_csv(
-                    _Blocks(self._checked_blocks(file, progress)), names=range(len(self.names)),
-                    header=None, usecols=list(at.values()), index_col=False, dtype=kinds,
-                    sep=self.parsed_separator, encoding=UTF_8, skipinitialspace=True,
-                    decimal=self.decimal, float_precision="round_trip",
-                    na_values={at[name]: [NO_VALUE] for name in numbers},
-                )  # fmt: skip
-        except InputError:
-            raise
-        except pandas.errors.EmptyDataError:
-            return {}  # a header without rows
-        except ValueError as error:
-            first = str(error).splitlines()[0][:200]
-            self._refuse_bad_cell(numbers)
-            raise InputError(f"{self.path}: a line cannot be read ({first}): correct it") from None
-        # Columns of True and False alone are parsed as numbers.
-        doubted = [name for name in numbers if frame[at[name]].iloc[:1000].isin([0.0, 1.0]).all()]
-        self._refuse_bad_cell([name for name in doubted if frame[at[name]].isin([0.0, 1.0]).all()])
-        return {name: frame[i] for name, i in at.items()}
+                for batch in arrow.open_csv(
+                    file,
+                    arrow.ReadOptions(use_threads=False, block_size=BLOCK, column_names=positions),
+                    arrow.ParseOptions(delimiter=self.parsed_separator, newlines_in_values=True),
+                    arrow.ConvertOptions(
+                        column_types=dict(zip(at, kinds, strict=True)), include_columns=at,
+                        null_values=NULLS, strings_can_be_null=True, decimal_point=self.decimal,
+                    ),
+                ):  # fmt: skip
+                    batches.append(batch)
+                    if progress is not None:
+                        progress(min(file.tell() / size, 1.0))
+        except pyarrow.ArrowInvalid as error:
+            if "Empty CSV file" not in str(error):
+                raise InputError(f"{self.path}: {self._fault(str(error))}") from None
+        schema = pyarrow.schema(list(zip(at, kinds, strict=True)))
+        found = pyarrow.Table.from_batches(batches, schema).unify_dictionaries()
+        return found.rename_columns(asked)
 
-    def _refuse_bad_cell(self, numbers: Sequence[str]) -> None:
-        """Name line and column of the first cell that is no number, where one should be."""
-        places = {name: self.names.index(name) for name in numbers}
-        with contextlib.closing(self._rows()) as file:
-            for line in itertools.count(self.first + 1):
-                text = file.readline(LONGEST_LINE).decode(errors="replace")
-                if not text or not places:
-                    return
-                cells = split_cells(text.rstrip("\r\n"), self.parsed_separator)
-                for name, at in places.items():
-                    cell = cells[at] if at < len(cells) else ""
-                    if not (cell in MISSING or is_number(cell, self.decimal)):
-                        raise InputError(
-                            f"{self.path}: line {line}, column {name!r} holds {cell[:40]!r}, which "
-                            "is no number: correct it, or name another column by an option"
-                        )
+    def _fault(self, told: str) -> str:
+        """Return where and why Arrow could not go on, and what to do."""
+        if bad := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", told):
+            return (
+                f"{self.place(int(bad[1]) - 1)} has {bad[2]} cells, the header {len(self.names)}: "
+                "correct the line, or copy the file again"
+            )
+        if bad := re.search(r"column #(\d+): Row #(\d+): .* value '(.{0,40})", told, re.DOTALL):
+            cell = bad[3].removesuffix("'")
+            return (
+                f"{self.place(int(bad[2]) - 1)}, column {self.names[int(bad[1])]!r} holds "
+                f"{cell!r}, which is no number: correct it, or name another column by an option"
+            )
+        return f"a line cannot be read ({told.splitlines()[0][:200]}): correct it"
 
     # -- Parquet -------------------------------------------------------------------------------
 
-    def _parquet(self, numbers: list[str], words: list[str], progress: Progress) -> dict[str, Any]:
-        import pyarrow
-        from pyarrow import types
-
+    def _parquet(self, numbers: Sequence[str], words: Sequence[str], progress: Progress) -> Any:
+        pyarrow, types = _pyarrow("types")
         with _open_parquet(self.path, words) as file:
             announced = file.metadata.num_rows
-            arrow = file.read([*numbers, *words], use_threads=False)
+            found = file.read([*numbers, *words], use_threads=False)
         for name in (*numbers, *words):
-            kind = arrow.schema.field(name).type
+            kind = found.schema.field(name).type
             kind = kind.value_type if types.is_dictionary(kind) else kind
             text = types.is_string(kind) or types.is_large_string(kind) or types.is_boolean(kind)
             number = types.is_integer(kind) or types.is_floating(kind)
@@ -301,38 +263,23 @@ class Table(Layout):
                     f"(but {kind!s:.80}): name another column by an option"
                 )
         try:
-            arrow.validate(full=True)
-            for name in numbers:
-                at = arrow.schema.get_field_index(name)
-                column = arrow.column(at).cast(pyarrow.float64())  # refuses what none holds
-                arrow = arrow.set_column(at, name, column)
-            frame = arrow.to_pandas()
+            found.validate(full=True)
+            for name in numbers:  # what no float holds is refused
+                column = found[name].cast(pyarrow.float64())
+                found = found.set_column(found.schema.get_field_index(name), name, column)
         except (ValueError, NotImplementedError) as error:
             first = str(error).splitlines()[0][:160]
             raise InputError(
                 f"{self.path}: column {name!r} is not numbers ({first}): name another column by an "
                 "option"
             ) from None
-        if len(frame) != announced:
+        if len(found) != announced:
             raise InputError(
-                f"{self.path}: it announces {announced} rows and holds {len(frame)}: copy it again"
+                f"{self.path}: it announces {announced} rows and holds {len(found)}: copy it again"
             )
         if progress is not None:
             progress(1.0)
-        return {name: frame[name] for name in (*numbers, *words)}
-
-
-class _Blocks:
-    """What pandas takes for a file: it is handed one block after another."""
-
-    def __init__(self, blocks: Iterator[bytes]) -> None:
-        self._blocks = blocks
-
-    def read(self, size: int = -1) -> bytes:
-        return next(self._blocks, b"")
-
-    def __iter__(self) -> Iterator[bytes]:
-        return self._blocks
+        return found.unify_dictionaries()
 
 
 def open_table(
@@ -355,7 +302,7 @@ def open_table(
 
 def table_or_none(path: Path, sheet: str | None = None) -> Table | None:
     """Return the table in a file, ``None`` where there is none. For sniffing: it never raises."""
-    with contextlib.suppress(InputError, ImportError, OSError, LookupError, ValueError):
+    with contextlib.suppress(Exception):
         return open_table(path, sheet=sheet)
     return None
 
@@ -453,29 +400,17 @@ def _decoded(path: Path, encoding: str) -> bytes:
 def _unpacked(path: Path) -> bytes:
     """What a gzip file holds, refused where it is more than such a file may ask for."""
     most = files.allowed_bytes(path.stat().st_size)
-    try:
-        with gzip.open(path) as file:
-            content = file.read(most + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: it cannot be unpacked ({error}): copy it again") from None
+    with gzip.open(path) as file:
+        content = file.read(most + 1)
     require(len(content) <= most, f"{path}: it unpacks to more than {most:,} bytes: unpack it")
     return content
 
 
 def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:
     files.refuse_special(path)
-    try:
-        import pyarrow
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise MissingExtraError("reading Parquet", "data") from error
-    try:
-        return parquet.ParquetFile(
-            path, read_dictionary=list(words), page_checksum_verification=True, pre_buffer=False
-        )
-    except (pyarrow.ArrowException, OSError) as error:
-        first = str(error).splitlines()[0][:160]
-        raise InputError(f"{path}: the Parquet file is damaged ({first}): copy it again") from None
+    return _pyarrow("parquet")[1].ParquetFile(
+        path, read_dictionary=list(words), page_checksum_verification=True, pre_buffer=False
+    )
 
 
 def is_workbook(path: Path) -> bool:
@@ -508,21 +443,16 @@ def _sheets(path: Path) -> dict[str, Any]:
     files.refuse_special(path)
     try:
         import openpyxl  # noqa: F401
+        import pandas
     except ImportError as error:
         raise MissingExtraError("reading Excel workbooks", "data") from error
+    kept: Any = {"header": None, "dtype": object, "keep_default_na": False}
     try:
-        return dict(
-            _pandas().read_excel(
-                path, sheet_name=None, header=None, dtype=object, keep_default_na=False,
-                engine="openpyxl",
-            )
-        )  # fmt: skip
-    except MemoryError:
-        raise
-    except Exception as error:  # whatever zipfile, the XML parser and openpyxl raise
+        return dict(pandas.read_excel(path, sheet_name=None, engine="openpyxl", **kept))
+    except Exception as error:
         raise InputError(
             f"{path}: the workbook is damaged ({type(error).__name__}): save it again"
-        ) from None
+        ) from error
 
 
 def _text_of(cell: Any) -> str:
@@ -533,9 +463,9 @@ def _text_of(cell: Any) -> str:
     return repr(cell) if isinstance(cell, float) else str(cell)
 
 
-def _pandas() -> Any:
+def _pyarrow(part: str) -> tuple[Any, Any]:
+    """Return the package Arrow and one of its modules."""
     try:
-        import pandas
+        return import_module("pyarrow"), import_module(f"pyarrow.{part}")
     except ImportError as error:
         raise MissingExtraError("reading tables", "data") from error
-    return pandas

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
-import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from operator import index
 from typing import Any
@@ -17,7 +16,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_whole
+from animarl_envs.checks import is_whole, plain
 from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, MissingExtraError, also_list_options_of
 from animarl_envs.focus import first_pursuer
@@ -271,10 +270,7 @@ def cut_after(world: World, most: int | None) -> None:
 def check_action(action: Any, num_actions: int, who: str = "") -> int:
     """Return one individual's action as Python's own whole number, of whatever integer type.
 
-    Raises
-    ------
-    InputError
-        If it is no whole number, or out of range.
+    Raises InputError if it is no whole number, or out of range.
     """
     try:
         number = index(action)
@@ -291,10 +287,7 @@ def check_action(action: Any, num_actions: int, who: str = "") -> int:
 def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDArray[np.int64]:
     """Return actions as an integer array of that shape.
 
-    Raises
-    ------
-    InputError
-        If the shape is wrong, a number is not whole, or an action is out of range.
+    Raises InputError if the shape is wrong, a number is not whole, or an action is out of range.
     """
     array = np.asarray(actions)
     if array.shape != shape:
@@ -310,10 +303,7 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
 def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> NDArray[np.int64] | None:
     """Return the option ``demo`` of ``reset``, one number for each copy (-1: any).
 
-    Raises
-    ------
-    InputError
-        If a demonstration does not exist.
+    Raises InputError if a demonstration does not exist.
     """
     if wanted is None:
         return None
@@ -348,10 +338,7 @@ def reset_options(options: Any, *known: str, strict: bool = True) -> Mapping[str
 def stream_seed(seed: int) -> np.uint64:
     """Return the seed of a world's random stream; all bits count, also beyond 64.
 
-    Raises
-    ------
-    InputError
-        If it is negative or no whole number.
+    Raises InputError if it is negative or no whole number.
     """
     try:
         number = index(seed)
@@ -389,20 +376,3 @@ def scenario_as_data(scenario: Scenario) -> dict[str, Any]:
         "observation_noise": scenario.observation_noise,
         "observation_delay": scenario.observation_delay,
     }
-
-
-def plain(value: Any) -> Any:
-    """Convert to numbers, texts, lists and dictionaries; an array of frames becomes its shape."""
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist()) if value.ndim <= 2 else f"array of shape {value.shape}"
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value if isinstance(value, str | int | float | None) else str(value)

@@ -2,9 +2,8 @@
 
 Their ``.npz`` files hold pickles, and a pickle names the functions that it calls.
 :func:`load_plain` reads plain lists, numbers, text and arrays as ``np.save`` writes them, and
-nothing else: the names of NumPy lead to inert stand-ins that keep what they are given, and all
-others to a refusal, so that nothing of the file runs and NumPy sees neither its shapes nor its
-bytes. Arrays are made once the whole pickle has been read.
+nothing else: NumPy's names lead to inert stand-ins, all others to a refusal, so that nothing of the
+file runs. Arrays are made once the whole pickle has been read.
 """
 
 from __future__ import annotations
@@ -217,6 +216,7 @@ def read_authors_silkmoth(path: Path) -> list[Tracks]:
 
 
 PLAIN_CODE = re.compile(r"[<>|=]?(b1|\?|i[1248]|u[1248]|f[248]|[US][1-9]\d{0,5}|O8?)")
+PLAIN = (str, bytes, int, float, bool, type(None))
 DEEPEST = 40  # lists within lists; no recording nests deeper
 
 
@@ -226,7 +226,7 @@ def load_plain(raw: bytes, name: str) -> Any:
     Raises InputError if it is of anything else, or damaged.
     """
     try:
-        return _made(_Restricted(io.BytesIO(raw)).load(), 0)
+        return _made(_Restricted(io.BytesIO(raw)).load())
     except Exception as error:
         what = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise InputError(
@@ -240,106 +240,84 @@ def _need(met: bool, what: str) -> None:
         raise pickle.UnpicklingError(what)
 
 
-class _Dtype:
-    """Stands for a dtype: its code and byte order."""
+class _StandIn:
+    """Keeps what an object of NumPy's was called with, and its state; nothing else is done."""
 
-    def __init__(self, code: Any, *_: Any) -> None:
-        self.code, self.order = code, ""
-        plain = isinstance(code, str) and PLAIN_CODE.fullmatch(code) is not None
-        _need(plain, "an array is not of plain numbers, text or objects")
+    def __init__(self, *given: Any) -> None:
+        self.given, self.state = given, None
 
     def __setstate__(self, state: Any) -> None:
-        """The state that NumPy writes; only its byte order is used, and fields are refused."""
-        plain = type(state) is tuple and len(state) > 4 and state[2:5] == (None,) * 3
-        _need(plain and not self.order, "a dtype has fields, or an unusual state")
-        self.order = state[1]
-        _need(self.order in ("<", ">", "|", "="), "a dtype has an unusual byte order")
-
-    def made(self) -> Any:
-        given = self.order in ("<", ">")
-        return np.dtype(self.order + self.code.lstrip("<>|=") if given else self.code)
+        _need(self.state is None, "a state is set twice")
+        self.state = state
 
 
-class _Array:
-    """Stands for an array: a dtype, a shape, and its bytes or the list of its objects."""
-
-    state: tuple[Any, ...] = (None,) * 4
-
-    def __setstate__(self, state: Any) -> None:
-        """As NumPy writes it: (version,) shape, dtype, whether in Fortran's order, content."""
-        usual = type(state) is tuple and len(state) in (4, 5) and self.state[0] is None
-        _need(usual, "an array has an unusual state")
-        self.state = state[-4:]
-
-    def made(self, depth: int) -> Any:
-        """The array, once kind, shape and length of the content agree."""
-        shape, kind, fortran, content = self.state
-        _need(type(kind) is _Dtype and type(shape) is tuple, "an array is made and never filled")
-        usual = len(shape) <= 16 and all(type(n) is int and n >= 0 for n in shape)
-        _need(usual, "an array has an unusual shape")
-        dtype, count = kind.made(), math.prod(shape)
-        if not dtype.hasobject:
-            return _numbers(content, dtype, count).reshape(shape, order="F" if fortran else "C")
-        whole = type(content) is list and len(content) == count
-        _need(whole, "an array holds more or fewer objects than its shape says")
-        array = np.empty(shape, dtype=object)
-        flat = array.reshape(-1)  # NumPy lists objects in C's order, whatever the array's is
-        for place, entry in enumerate(content):
-            flat[place] = _made(entry, depth)
-        return array
+class _Dtype(_StandIn):
+    pass
 
 
-class _Ndarray:
-    """Stands for ``numpy.ndarray`` as an argument; cannot be called."""
-
-    def __new__(cls, *_: Any) -> _Ndarray:
-        raise pickle.UnpicklingError("numpy.ndarray is called")
+class _Array(_StandIn):
+    pass
 
 
-def _reconstruct(kind: Any, shape: Any, code: Any) -> _Array:
-    _need(kind is _Ndarray, "an array is made in an unusual way")
-    return _Array()
+class _Scalar(_StandIn):
+    pass
 
 
-def _scalar(kind: Any, raw: Any = b"") -> Any:
-    _need(type(kind) is _Dtype and "O" not in kind.code, "a number is made in an unusual way")
-    return _numbers(raw, kind.made(), 1)[0].item()
-
-
-STAND_INS: dict[tuple[str, str], Any] = {
-    ("numpy", "ndarray"): _Ndarray, ("numpy", "dtype"): _Dtype,
-    ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
-    ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
-    ("numpy.core.multiarray", "scalar"): _scalar, ("numpy._core.multiarray", "scalar"): _scalar,
-}  # fmt: skip
+KNOWN = {"ndarray": object(), "dtype": _Dtype, "_reconstruct": _Array, "scalar": _Scalar}
 
 
 class _Restricted(pickle.Unpickler):
     """Looks up nothing but the stand-ins."""
 
     def find_class(self, module: str, name: str) -> Any:
-        _need((module, name) in STAND_INS, f"it names {module}.{name}")
-        return STAND_INS[module, name]
+        place = "numpy" if name in ("ndarray", "dtype") else "numpy.core.multiarray"
+        known = name in KNOWN and module.replace("._core.", ".core.") == place
+        _need(known, f"it names {module}.{name}")
+        return KNOWN[name]
 
 
-def _numbers(raw: Any, dtype: np.dtype[Any], count: int) -> np.ndarray[Any, Any]:
-    """A copy of the bytes as an array, if each of its values exists."""
-    whole = type(raw) is bytes and len(raw) == count * dtype.itemsize
-    _need(whole, "numbers have more or fewer bytes than their kind")
-    _need(dtype.kind != "b" or not raw.strip(b"\0\1"), "a truth value is neither true nor false")
-    return checked_text(Path("a text"), np.frombuffer(raw, dtype=dtype).copy())
-
-
-def _made(value: Any, depth: int) -> Any:
+def _made(value: Any, depth: int = 0) -> Any:
     """The value with arrays in place of their stand-ins, all of it copied."""
     kind, below = type(value), depth + 1
     _need(depth <= DEEPEST, "its lists nest too deep")
-    if kind in (str, bytes, int, float, bool, type(None)):
+    if kind in PLAIN:
         return value
     if kind is dict:
         _need({type(key) for key in value} <= {str, int, bool}, "a dictionary has an unusual key")
         return {key: _made(entry, below) for key, entry in value.items()}
     if kind in (list, tuple):
         return kind([_made(entry, below) for entry in value])
+    if kind is _Scalar:
+        return _numbers(value.given[1], _plain_dtype(value.given[0]), (), "C").item()
     _need(kind is _Array, f"it holds a bare {kind.__name__}")
-    return value.made(below)
+    shape, dtype, fortran, content = value.state[-4:]
+    usual = type(shape) is tuple and all(type(n) is int and n >= 0 for n in shape)
+    _need(usual, "an array has an unusual shape")
+    if not (plain := _plain_dtype(dtype)).hasobject:
+        return _numbers(content, plain, shape, "F" if fortran else "C")
+    whole = type(content) is list and len(content) == math.prod(shape)
+    _need(whole, "an array holds more or fewer objects than its shape says")
+    array = np.empty(len(content), dtype=object)  # NumPy lists objects in C's order always
+    for place, entry in enumerate(content):
+        array[place] = _made(entry, below)
+    return array.reshape(shape)
+
+
+def _plain_dtype(given: Any) -> Any:
+    """The kind of an array, whose state may say its byte order and nothing else."""
+    plain = type(given) is _Dtype and PLAIN_CODE.fullmatch(given.given[0]) is not None
+    _need(plain, "an array is not of plain numbers, text or objects")
+    code, state = given.given[0], given.state
+    if state is None:
+        return np.dtype(code)
+    _need(state[2:5] == (None,) * 3, "a dtype has fields, or an unusual state")
+    return np.dtype(code).newbyteorder(state[1])
+
+
+def _numbers(raw: Any, dtype: np.dtype[Any], shape: tuple[int, ...], order: Any) -> Any:
+    """A copy of the bytes as an array, if each of its values exists."""
+    whole = type(raw) is bytes and len(raw) == math.prod(shape) * dtype.itemsize
+    _need(whole and not dtype.hasobject, "numbers have more or fewer bytes than their kind")
+    _need(dtype.kind != "b" or not raw.strip(b"\0\1"), "a truth value is neither true nor false")
+    array = np.frombuffer(raw, dtype=dtype).reshape(shape, order=order)
+    return checked_text(Path("a text"), array.copy())

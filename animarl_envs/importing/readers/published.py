@@ -1,24 +1,11 @@
 """Files of finished episodes (this project's, Minari's, agents'), and published collections.
 
-``case*.csv`` of the MothVR set-up has Time [s], X, Y [mm], Theta, Odor, Wind at 30 frames a second,
-source at the origin, start at (300, 0) mm, one run per file. The set-up stopped a run at 50 mm from
-the source or after 300 s; seven of the 24 public runs end 0.04 to 0.23 mm outside the 50, so a run
-that ends within one frame's walk of it counts as having reached the source. Decisions are taken at
-2 Hz; the final recorded frame is kept as the last sample. An antenna is hit in a step if it is hit
-in any of its frames.
-
-Termites and flies are an ``.npz`` of int16 arrays, one per recording, beside an ``index.csv`` with
-the scales of the termites' recordings.
-
-Artificial predators and prey are ``episodes_*.npz`` with the layout of its SOURCE.md: ``pos``
-float32 ``(sum(n_steps + 1), individuals, 2)``, predators first, prey last; ``actions`` int8
-``(sum(n_steps), individuals)``; ``n_steps`` per episode; ``outcome`` (k > 0: captured by predator
-k; -1 the prey left, -2 a predator left; 0 time-out), the codes of :class:`Demonstrations`; ``meta``
-JSON with ``dt``, ``damping``, ``speed_pred``, ``speed_prey``, ``cond``.
-
-Recorded actions are relative to the opponent: the prey for a predator, the nearest predator for the
-prey, action k at -30 deg * k, 12 for none. Measured against the accelerations of all 1,000
-episodes, that is the numbering of :mod:`animarl_envs.locomotion`, so they are kept as they are.
+``docs/data/readers.md`` says where they come from and how silkmoth runs end. Of these the final
+recorded frame is kept as the last sample, and an antenna is hit in a step if it is hit in any of
+its frames. Termites and flies are an ``.npz`` of int16 arrays, one per recording. Agents are
+``pos`` float32 ``(sum(n_steps + 1), individuals, 2)``, predators first, prey last; ``actions`` int8
+``(sum(n_steps), individuals)``, numbered as in :mod:`animarl_envs.locomotion`; ``n_steps`` and
+``outcome`` per episode (codes of :class:`Demonstrations`); ``meta``, JSON with ``dt`` and ``cond``.
 """
 
 from __future__ import annotations

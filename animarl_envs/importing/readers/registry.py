@@ -164,29 +164,22 @@ def _find_own_reader(path: Path) -> str:
     from animarl_envs.importing.readers.columns import suggested_command
 
     refuse_special(path)
-    if path.suffix.lower() == ".npz":
-        read_npz(path)  # says so if it is damaged
-    if is_hdf(path):
-        open_hdf(path).close()  # says so if the extra is missing or the file is damaged
-    words = suggested_command(path) if path.suffix.lower() in EXTENSIONS else None
+    suffix = path.suffix.lower()
+    with _one_sentence_for(path, suffix):  # says so if an extra is missing or it is damaged
+        if suffix == ".npz":
+            read_npz(path)
+        if is_hdf(path):
+            open_hdf(path).close()
+        words = suggested_command(path) if suffix in EXTENSIONS else None
     known = ", ".join(reader.name for reader in own)
     raise InputError(f"{path}: no reader recognises it: {words or f'name its --source ({known})'}")
 
 
 def read(path: str | Path, source: str | None = None, **options: Any) -> Demonstrations:
-    """Read demonstrations from one file.
+    """Read demonstrations from one file by the reader ``source``, by default found by a look at it.
 
-    Raises InputError if the file is missing, of no known source, or refused by its reader.
-
-    Parameters
-    ----------
-    path
-        The file.
-    source
-        Name of the reader; by default the file is looked at to find it.
-    options
-        Handed to the reader; for a tracker's file also entries of the recipe, such as
-        ``frame_rate``.
+    ``options`` are handed to the reader; for a tracker's file also entries of the recipe, such as
+    ``frame_rate``. Raises InputError if the file is missing, of no known source, or refused.
     """
     path = Path(path)
     reader = find_reader(path, source)

@@ -162,8 +162,8 @@ def test_how_many_neighbours_are_seen_is_said_at_import(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"no gzip", "cannot be unpacked"),
-        (gzip.compress(b"frame,id,x,y\n" + b"0,a,1,1\n" * 50)[:40], "cannot be unpacked"),
+        (b"no gzip", "cannot be read as long-table"),
+        (gzip.compress(b"frame,id,x,y\n" + b"0,a,1,1\n" * 50)[:40], "cannot be read as long-table"),
         (gzip.compress(b"0" * 2**26), "unpacks to more than"),
     ],
     ids=["no gzip", "cut short", "bomb"],  # packed bytes hold the time of day

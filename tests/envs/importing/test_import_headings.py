@@ -155,7 +155,7 @@ def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: 
     understood = animarl(
         "import", write(tmp_path), "--fps", 25, "--heading", "thorax,head", "--dry-run"
     )
-    assert "heading from thorax to head" in understood
+    assert "heading thorax, head" in understood
 
 
 def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
