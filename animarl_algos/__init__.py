@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from animarl_algos.data.vec_env import SlotVecEnv as SlotVecEnv
-    from animarl_algos.evaluation.tables import evaluate as evaluate
+    from animarl_algos.evaluation.comparison import evaluate as evaluate
     from animarl_algos.learner.callbacks import EvaluateIndividuals as EvaluateIndividuals
     from animarl_algos.learner.callbacks import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403

@@ -253,7 +253,7 @@ def markdown(found: CounterfactualRuns) -> str:
         lines.append(f"| {' | '.join(head + cells)} |")
     lines += ["", "| difference of signed errors | condition | value |", "|---|---|---|"]
     for _, row in table[table["quantity"] == of.ERROR_DIFFERENCE].iterrows():
-        value = with_interval(interval(row, "value"))
+        value = with_interval(interval(row))
         lines.append(f"| {row['method']} | {conditions[row['condition']]} | {value} |")
     accuracy = table[table["quantity"] == of.ACCURACY].dropna(subset="value")
     lines += ["", *(f"Treatment accuracy of {r['method']}: {r['value']:.2f} (0.5: blind)."
@@ -274,7 +274,7 @@ def markdown(found: CounterfactualRuns) -> str:
 
 def _cell(rows: pd.DataFrame, quantity: str) -> str:
     chosen = rows[rows["quantity"] == quantity]
-    return "" if chosen.empty else with_interval(interval(chosen.iloc[0], "value"))
+    return "" if chosen.empty else with_interval(interval(chosen.iloc[0]))
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ def main(
     recorded = measure_recordings(chosen)
     scenario = make_scenario(spec, demos=demos, split="val")
     world = partial(make_world, scenario)
-    means = recorded[["path_length", "duration", "return"]].mean()
+    means = recorded[["path_length", "duration", "reached"]].mean()
     kind = "demonstrated (synthetic)" if demos.synthetic else "recorded"
     lines = [[kind, "", f"{means.iloc[0]:.3g}", "", f"{means.iloc[1]:.3g}", ""]]
     lines[0].append(f"{means.iloc[2]:.2f}")

@@ -20,7 +20,8 @@ from rich.table import Table
 
 from animarl_algos.evaluation.collect import MemorylessPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table
-from animarl_algos.evaluation.metrics import dtw_alignments, measure, measure_recordings
+from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.evaluation.prepared import dtw_alignments
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
@@ -113,14 +114,14 @@ def main(
         table.add_column(heading, justify="left" if heading == "behaviour" else "right")
     for name in metrics["method"].unique():
         rows = compared[(compared["method"] == name) & (compared["counting"] == "all")]
-        row = {metric: line for metric, line in zip(rows["metric"], rows.to_dict("records"))}
+        row = {line["measure"]: line for line in rows.to_dict("records")}
         table.add_row(
             name,
             *(
-                with_interval(interval(row[metric], "mean")) if metric in row else ""
+                with_interval(interval(row[metric])) if metric in row else ""
                 for metric in ("dtw", "dtw_per_step")
             ),
-            number(row["duration"]["mean"]),
+            number(row["duration"]["value"]),
         )
     Console(width=110).print(table)
 

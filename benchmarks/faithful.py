@@ -50,7 +50,7 @@ from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_ro
 from animarl_algos.evaluation.classifier import SEQUENCE
 from animarl_algos.evaluation.order_in_time import ORDER
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
-from animarl_algos.report.terminal import verdict_table
+from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_files import versions

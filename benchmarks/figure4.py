@@ -29,7 +29,7 @@ from animarl_algos.evaluation.metrics import DTW, DURATION, measure, measure_rec
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval, interval, percentile_interval
 from animarl_algos.report import style
-from animarl_algos.report.words import with_interval
+from animarl_algos.report.words import Words, with_interval
 from animarl_algos.runs.run_files import versions
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.files import all_files_or_none
@@ -156,9 +156,9 @@ def table_of(data: str, metrics: pd.DataFrame) -> list[dict[str, Any]]:
     # The protocol of the evaluation, which is what 'animarl evaluate' writes for runs.
     compared = comparison_table(metrics, number, np.random.default_rng(SEED))
     pairs = pair_table(metrics, number, np.random.default_rng(SEED))
-    compared = compared[compared["counting"] == "all"].set_index(["method", "metric"])
+    compared = compared[compared["counting"] == "all"].set_index(["method", "measure"])
     truth = metrics[metrics["method"] == RECORDED]
-    pairs = pairs[(pairs["counting"] == "all") & (pairs["metric"] == DTW.key)]
+    pairs = pairs[(pairs["counting"] == "all") & (pairs["measure"] == DTW.key)]
     pairs = pairs[pairs["first"] == BASELINE].set_index("second")
     rows = []
     for name in LEARNERS:
@@ -170,9 +170,9 @@ def table_of(data: str, metrics: pd.DataFrame) -> list[dict[str, Any]]:
             KDE_DURATION: kde_interval(own, truth, "duration"),
         }
         if name in pairs.index:
-            found[LESS_THAN_BC] = interval(pairs.loc[name], "difference")
+            found[LESS_THAN_BC] = interval(pairs.loc[name])
         row = {"species": data, "method": name}
-        row["reached"] = f"{compared.loc[(name, 'return'), 'mean']:.2f}"
+        row["reached"] = f"{compared.loc[(name, 'reached'), 'value']:.2f}"
         for key in (KDE_PATH, KDE_DURATION, LESS_THAN_BC):
             row[key] = with_interval(found[key]) if key in found else ""
             row[f"{key}: paper"] = PUBLISHED.get((data, key), {}).get(name, "")
@@ -200,7 +200,7 @@ def draw(by_species: dict[str, pd.DataFrame]) -> Figure:
                 panel.tick_params(axis="x", length=0, rotation=20)
                 panel.set_xlim(-0.6, len(names) - 0.4)
                 panel.set_ylim(bottom=0)
-                panel.set(ylabel=metric.axis, title=data if row == 0 else "")
+                panel.set(ylabel=Words().axis(metric), title=data if row == 0 else "")
     return figure
 
 

@@ -26,8 +26,7 @@ from stable_baselines3.common.logger import Logger
 from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
-from animarl_algos.evaluation.metrics import path_lengths
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.prepared import Prepared, path_lengths
 from animarl_algos.evaluation.realism import WEIGHTS, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning

@@ -174,7 +174,7 @@ def act(model: SequenceQLearning, species: str, seed: int) -> tuple[float, float
         cue="actual" if model.layout.condition_flag else None,
     )
     table = measure(rollouts, scenario.demos)
-    return float(table["return"].mean()), float(table["dtw_per_step"].mean())
+    return float(table["reached"].mean()), float(table["dtw_per_step"].mean())
 
 
 def resident_mib() -> float:

@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from animarl_algos.evaluation.metrics import judged_metrics
+from animarl_algos.evaluation.metrics import judged_metrics, measures
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.windows import comparison_smoothing
@@ -30,8 +30,9 @@ def split_rows(demos: Demonstrations) -> list[tuple[str, float, float, float]]:
     """Measure, mean over the test episodes, over the others, and difference [standard errors]."""
     test = demos.select(split="test")
     prepared = Prepared(test, comparison_smoothing(test))
-    own = prepared.measures(prepared.recorded)
-    beside = prepared.measures(prepared.filtered(Rollouts.from_demonstrations(learnable(demos))))
+    own = measures(prepared, prepared.recorded)
+    others = prepared.filtered(Rollouts.from_demonstrations(learnable(demos)))
+    beside = measures(prepared, others)
     rows = []
     for measure in judged_metrics(demos):
         a, b = own[measure.key], beside[measure.key]

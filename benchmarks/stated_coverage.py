@@ -237,13 +237,13 @@ def shares_inside(share: float, seeds: int, demos: int, experiments: int) -> Flo
 
 
 def realism(experiments: int) -> None:
-    """Of the mean of scores between 0 and 1, one a recording, by percentiles."""
+    """Of the mean of scores between 0 and 1, one a recording."""
     rng, row = np.random.default_rng(7), []
-    truth = float(ndtr(QUANTILES - 0.8).mean())
+    draws, truth = Draws.by(rng), float(ndtr(QUANTILES - 0.8).mean())
     for demos in DEMOS:
         inside = 0
         for _ in range(experiments):
-            found = over_groups(ndtr(rng.normal(size=demos) - 0.8), np.arange(demos), rng)
+            found = over_groups(ndtr(rng.normal(size=demos) - 0.8), np.arange(demos), draws)
             inside += found.low <= truth <= found.high
         row.append(f"{inside / experiments:.3f}")
     show(
@@ -377,10 +377,10 @@ def speed(_: int) -> None:
         values = rng.lognormal(size=(number, 4))
         each = np.arange(number)
         row = {"method": name, "seed": -1 if recorded else each % 2, "repetition": each % 2}
-        row |= {"demo": each if recorded else each // 2, "condition": 0, "cue": -1}
+        row |= {"demo": each if recorded else each // 2, "condition": 0, "cue": -1, "factual": True}
         row |= dict(zip(("path_length", "duration", "dtw", "dtw_per_step"), values.T))
         row["captured"] = rng.random(number) < 0.5
-        row["return"] = row["captured"].astype(float)
+        row["reached"] = row["captured"].astype(float)
         tables.append(pd.DataFrame(row))
     metrics = pd.concat(tables, ignore_index=True)
     start, wall = time.process_time(), time.perf_counter()

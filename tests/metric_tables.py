@@ -12,8 +12,15 @@ def metrics_rows(
     count = len(value)
     names = ("path_length", "duration", "dtw", "dtw_per_step")
     columns: dict[str, object] = {"method": method, "seed": seed, "demo": np.arange(count)}
-    columns |= {"repetition": 0, "condition": 0, "cue": -1, "outcome": 0, "captured": captured}
-    columns |= {"return": captured.astype(float), **dict.fromkeys(names, value), **more}
+    columns |= {
+        "repetition": 0,
+        "condition": 0,
+        "cue": -1,
+        "outcome": 0,
+        "captured": captured,
+        "factual": True,
+    }
+    columns |= {"reached": captured.astype(float), **dict.fromkeys(names, value), **more}
     return pd.DataFrame(columns)
 
 

@@ -7,13 +7,11 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import Answers, Asked, Rollouts, cue_effects, evaluate
-from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
-from animarl_algos.report.counterfactual_page import counterfactual_page
-from animarl_algos.report.inputs import CounterfactualInputs
+from animarl_algos.report.counterfactual_page import CounterfactualInputs, counterfactual_page
 from animarl_algos.report.run_page import run_page
-from animarl_algos.runs.inspecting import Inspected, episode_page
+from animarl_algos.runs.inspecting import Decisions, Inspected, episode_page
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.species import AGENT

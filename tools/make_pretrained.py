@@ -19,9 +19,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.matrix import claim_folder, plan, read_matrix
-from animarl_algos.benchmark.pieces import Cell, Done, Piece
+from animarl_algos.benchmark.pieces import Cell, Done, Piece, Watch, Workers, perform_all
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood

@@ -1,4 +1,4 @@
-"""The leaderboard as Markdown, CSV and JSON; what it cost stands in files of its own.
+"""The leaderboard as Markdown and CSV; what it cost stands in files of its own.
 
 The same matrix, version and seeds give the same bytes of ``leaderboard.*``, however many processes
 made them and however often they were killed; ``costs.*`` hold what differs from time to time.
@@ -7,22 +7,24 @@ made them and however often they were killed; ``costs.*`` hold what differs from
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from animarl_algos.benchmark.matrix import Plan
-from animarl_algos.benchmark.pieces import Cell, Clone, Scoring, code, write_json
+from animarl_algos.benchmark.pieces import Cell, Clone, Scoring
 from animarl_algos.benchmark.scores import ENERGY, Score, differences, labels, ranked
-from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.verdict_rows import OUTCOMES
 from animarl_algos.report.words import NOTHING, number, with_interval
 from animarl_algos.runs.run_files import machine
 from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 
+COSTS = ("row", "seed", "clone", "processor_seconds", "parameters")
+HEAD = ("data", "method", "kind", "starts", "rollouts", "covers", "words")
 HOW = """\
 Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds,
 of the AUC over demonstrations alone. With several seeds the others are of training runs like these,
@@ -35,114 +37,79 @@ and are not ranked. Parameters and processor time stand in `costs.md`.
 """
 
 
-class Board:
-    """The methods of one set of demonstrations, in the order of their energy score."""
-
-    def __init__(self, plan: Plan, name: str, scores: Sequence[Score]) -> None:
-        self.name, self.scores = name, scores
-        self.ranks = ranked(scores, plan.matrix.resamples)
-        self.synthetic = next(w.demos.synthetic for w in plan.worlds if w.data == name)
-        folds = plan.matrix.folds.get(name)
-        self.starts = f"{max(one.starts for one in scores)} test starts"
-        self.starts += "" if folds is None else f", cross-validated in {folds} folds"
-
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield what the files hold of each method."""
-        for one in self.scores:
-            head = {
-                "data": self.name, "kind": one.kind, "method": one.method, "seeds": one.seeds,
-                "starts": one.starts, "rollouts": one.rollouts, "covers": one.covers,
-                "words": one.words, "rank": self.ranks.get(one.method, ""),
-            }  # fmt: skip
-            table = one.measures.reset_index().astype(object)
-            yield head | {"measures": table.where(table.notna(), None).to_dict("records")}
-
-    def markdown(self) -> str:
-        """Return a section: what a simulator is judged by, its differences, its closeness."""
-
-        def place(one: Score) -> tuple[bool, float]:
-            value = one.of(ENERGY).value
-            return one.method not in self.ranks, value if math.isfinite(value) else math.inf
-
-        kind = "synthetic demonstrations, recorded from no animal" if self.synthetic else ""
-        text = (
-            f"\n## {self.name}\n\n{self.starts}, of {kind or 'recordings'}; beside each method "
-            "seeds × rollouts.\n"
-        )
-        written = {
-            one.method: dict(zip(one.measures.index, measure_rows(one))) for one in self.scores
-        }
-        known = {key: cells[0] for rows in written.values() for key, cells in rows.items()}
-        names = [key for key in labels() if key in known]
-        compared = {OUTCOMES, *(metric.key for metric in differences())}
-
-        def cell(one: Score, key: str) -> str:
-            if key not in written[one.method]:
-                return NOTHING
-            _, value, null, _ = written[one.method][key]
-            marked = f"**{value}**" if one.of(key).inside else value
-            return marked if null == NOTHING else f"{marked}; null {null}"
-
-        first = next(i for i, key in enumerate(names) if key in compared)
-        last = first + len(compared.intersection(names))
-        for keys in (names[:first], names[first:last], names[last:]):
-            lines = []
-            for one in sorted(self.scores, key=place):
-                each = f"{one.method} ({len(one.seeds)} × {one.rollouts // len(one.seeds)})"
-                cells = (cell(one, key) for key in keys)
-                lines.append([self.ranks.get(one.method, NOTHING), each, *cells])
-            head = ["rank", "method", *(known[key] for key in keys)]
-            text += f"\n{markdown_table(head, lines)}\n"
-        return text
-
-
 def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
-    """Write ``leaderboard.{md,csv,json}`` and ``costs.{md,csv}`` of what is finished.
+    """Write ``leaderboard.{md,csv}`` and ``costs.{md,csv}`` of what is finished.
 
     ``command`` made it, and stands with the machine in ``costs.md``.
     """
-    scores: dict[str, list[Score]] = {}
-    missing = {}
+    boards: dict[str, list[Score]] = {}
+    missing = []
     for scoring in plan.scorings:
         if scoring.finished(out):
-            scores.setdefault(scoring.data, []).append(scoring.result(out))
+            boards.setdefault(scoring.data, []).append(scoring.result(out))
         else:
-            missing[scoring.name.removesuffix("/score")] = _reason(scoring, out)
-    boards = [Board(plan, name, some) for name, some in scores.items()]
-    rows = [row for board in boards for row in board.rows()]
-    content = {
-        "format": "animarl-leaderboard",
-        "matrix": plan.resolved(),
-        "code": code(),
-        "rows": rows,
-        "missing": [{"row": row, "why": why} for row, why in missing.items()],
-    }
-    write_json(out / "leaderboard.json", content)
-    head = ("data", "method", "kind", "rank", "starts", "rollouts", "covers")
-    _write_csv(
-        out / "leaderboard.csv",
-        (
-            {key: row[key] for key in head} | {"seeds": " ".join(map(str, row["seeds"]))} | measure
-            for row in rows
-            for measure in row["measures"]
-        ),
-    )
-    text = "".join(board.markdown() for board in boards)
-    if missing:
-        listed = "\n".join(f"- {row}: {why}" for row, why in missing.items())
-        text += f"\n## Not there\n\n{listed}\n"
+            missing.append(f"- {scoring.name.removesuffix('/score')}: {_reason(scoring, out)}\n")
+    text = ""
+    rows: list[dict[str, Any]] = []
+    for name, scores in boards.items():
+        ranks = ranked(scores, plan.matrix.resamples)
+        text += _section(plan, name, scores, ranks)
+        for one in scores:
+            head = {key: getattr(one, key) for key in HEAD} | {"rank": ranks.get(one.method, "")}
+            head["seeds"] = " ".join(map(str, one.seeds))
+            rows += [head | dict(row) for _, row in one.measures.reset_index().iterrows()]
+    _write_csv(out / "leaderboard.csv", rows)
+    text += f"\n## Not there\n\n{''.join(missing)}" if missing else ""
     with write_then_rename(out / "leaderboard.md") as part:
         part.write_text(f"# Leaderboard\n\n{HOW}{text}", encoding="utf-8")
     _write_costs(plan, out, command)
     return out / "leaderboard.md"
 
 
-def measure_rows(scored: Score) -> Iterator[tuple[str, str, str, str]]:
-    """Yield label, value with interval, null and remark of every measure, as texts."""
-    for key, one in scored.measures.iterrows():
-        value = with_interval(Interval(one.value, one.low, one.high))
-        name = labels()[str(key)] + (f" ({one.unit})" if one.unit else "")
-        yield name, value, number(one.null), one.reason
+def _section(plan: Plan, name: str, scores: Sequence[Score], ranks: Mapping[str, str]) -> str:
+    """What the simulators of one set are judged by, their differences, their closeness."""
+    folds = plan.matrix.folds.get(name)
+    synthetic = next(w.demos.synthetic for w in plan.worlds if w.data == name)
+    kind = "synthetic demonstrations, recorded from no animal" if synthetic else "recordings"
+    text = (
+        f"\n## {name}\n\n{max(one.starts for one in scores)} test starts"
+        f"{'' if folds is None else f', cross-validated in {folds} folds'}, of {kind}; beside each "
+        "method seeds × rollouts.\n"
+    )
+
+    def place(one: Score) -> tuple[bool, float]:
+        value = float(one.of(ENERGY)["value"])
+        return one.method not in ranks, value if math.isfinite(value) else math.inf
+
+    def cell(one: Score, key: str) -> str:
+        if key not in one.measures.index:
+            return NOTHING
+        row = one.of(key)
+        value = with_interval(interval(row))
+        marked = f"**{value}**" if row["inside"] else value
+        return f"{marked}; null {number(row['null'])}" if math.isfinite(row["null"]) else marked
+
+    named = {key: title for one in scores for key, title in titles(one).items()}
+    keys = [key for key in labels() if key in named]
+    compared = [k for k in keys if k in {OUTCOMES, *(metric.key for metric in differences())}]
+    first = keys.index(compared[0])
+    for some in (keys[:first], compared, keys[first + len(compared) :]):
+        lines = [
+            [
+                ranks.get(one.method, NOTHING),
+                f"{one.method} ({len(one.seeds)} × {one.rollouts // len(one.seeds)})",
+                *(cell(one, key) for key in some),
+            ]
+            for one in sorted(scores, key=place)
+        ]
+        text += f"\n{markdown_table(['rank', 'method', *map(named.__getitem__, some)], lines)}\n"
+    return text
+
+
+def titles(scored: Score) -> dict[str, str]:
+    """Return the name of every measure with its unit."""
+    units = scored.measures["unit"].items()
+    return {str(key): labels()[str(key)] + (f" ({unit})" if unit else "") for key, unit in units}
 
 
 def _reason(scoring: Scoring, out: Path) -> str:
@@ -163,17 +130,14 @@ def _write_costs(plan: Plan, out: Path, command: str) -> None:
         if (cost := one.cost(out))
     ]
     _write_csv(out / "costs.csv", rows)
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        beside = " beside its clone" if row["clone"] else ""
-        groups.setdefault(f"{row['data']}/{row['method']}{beside}", []).append(row)
     lines = []
-    for name, some in groups.items():
-        seeds = len({row["seed"] for row in some})
-        seconds = sum(row["processor_seconds"] for row in some) / seeds
-        parameters = some[0]["parameters"]
-        told = NOTHING if parameters is None else f"{parameters:,}"
-        lines.append([name, str(seeds), f"{seconds:.1f}", told])
+    for row in rows:
+        row["row"] = f"{row['data']}/{row['method']}{' beside its clone' * bool(row['clone'])}"
+    for name, some in pd.DataFrame(rows, columns=COSTS).groupby("row", sort=False):
+        seeds, parameters = some["seed"].nunique(), some["parameters"].iloc[0]
+        told = NOTHING if pd.isna(parameters) else f"{int(parameters):,}"
+        seconds = some["processor_seconds"].sum() / seeds
+        lines.append([str(name), str(seeds), f"{seconds:.1f}", told])
     total = sum(row["processor_seconds"] for row in rows)
     made = {"command": f"`{command}`"} if command else {}
     made |= machine() | {"all cells and clones": f"{total:.0f} s of processor time"}

@@ -262,14 +262,6 @@ class Plan:
             tuple(one for one in self.scorings if chosen.issuperset(one.needs)),
         )
 
-    def resolved(self) -> dict[str, Any]:
-        """Return the matrix, and the key of every cell."""
-        return {
-            "settings": self.matrix.model_dump(),
-            "demonstrations": {one.name: one.demos.fingerprint() for one in self.worlds},
-            "cells": {cell.name: cell.key for cell in self.cells},
-        }
-
 
 def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = "") -> Plan:
     """Return what there is to do.

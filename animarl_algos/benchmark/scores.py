@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric, MetricInputs
-from animarl_algos.evaluation.prepared import Prepared, censored, factual
+from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
+from animarl_algos.evaluation.prepared import Prepared, censored
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -32,9 +32,10 @@ from animarl_algos.evaluation.statistics import (
     cells,
     covers,
     energy_cells,
+    interval,
     pooled_score,
+    row_of,
     single_cells,
-    told_by,
 )
 from animarl_algos.evaluation.verdict import summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
@@ -155,20 +156,17 @@ def _score(
     rng_verdict, rng_draws = np.random.default_rng(SEED).spawn(2)
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared(test, comparison_smoothing(test))
-    counted = censored(factual(rollouts, test), test)
+    counted = censored(rollouts.factual(test), test)
     draws = Draws.by(rng_draws, resamples)
     rows: dict[str, dict[str, Any]] = {}
 
     def put(
         key: str, value: Interval, null: float, inside: bool, unit: str = "", p: float = math.nan
     ) -> None:
-        rows[key] = {
-            "measure": key, "unit": unit, "value": value.estimate, "low": value.low,
-            "high": value.high, "null": null, "p": p, "reason": value.reason, "inside": inside,
-        }  # fmt: skip
+        rows[key] = row_of(value, measure=key, unit=unit, null=null, p=p, inside=inside)
 
     for _, row in found.table.iterrows():
-        value, same = told_by(row), bool(row["judgement"] == SAME)
+        value, same = interval(row), bool(row["judgement"] == SAME)
         # Over all folds each recording stands on one side itself and on the other as another's: a
         # classifier would learn to call it by the side on which it met it.
         if row["measure"] in found.areas and others is None and rollouts.method == RECORDINGS:
@@ -184,7 +182,7 @@ def _score(
     if energies.counts.any():
         energy = bootstrap_mean(energies, draws)
     put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
-    own, other = (DTW_PER_STEP.measure(MetricInputs(side, test)) for side in (counted, beside))
+    own, other = (DTW_PER_STEP.measure(prepared.episodes(side)) for side in (counted, beside))
     data, null = cells(own, counted.seed, counted.demo, len(test)), float(other.mean())
     dtw = bootstrap_mean(data, draws)
     put(DTW_PER_STEP.key, dtw, null, dtw.estimate <= null, DTW_PER_STEP.unit)

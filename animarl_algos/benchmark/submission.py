@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.benchmark.scores import Score, score
-from animarl_algos.evaluation.prepared import factual
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_envs.checks import printable
@@ -62,7 +61,7 @@ def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]
         raise InputError(
             f"{path}: rollout {wrong}: demo is {made.demo[wrong]}: there are 0 to {len(test) - 1}"
         )
-    made = factual(made, test)
+    made = made.factual(test)
     if len(set(zip(made.demo.tolist(), made.seed.tolist(), made.repetition.tolist()))) < len(made):
         raise InputError(
             f"{path}: two rollouts have the same demo, seed and repetition: count repetitions up"

@@ -18,8 +18,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from animarl_algos.benchmark.engine import Watch, Workers, perform_all
-from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
+from animarl_algos.benchmark.leaderboard import titles, write_leaderboard
 from animarl_algos.benchmark.matrix import (
     Plan,
     claim_folder,
@@ -29,9 +28,11 @@ from animarl_algos.benchmark.matrix import (
     refuse_other_results,
 )
 from animarl_algos.benchmark.methods import parse_method
-from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece
+from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece, Watch, Workers, perform_all
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.shared import PlainConsole, helps
+from animarl_algos.evaluation.statistics import interval
+from animarl_algos.report.words import number, with_interval
 from animarl_envs.errors import InputError
 from animarl_envs.species import species_name
 
@@ -132,8 +133,9 @@ def score_command(file: Path, species: str) -> None:
     table = Table(title=f"{found.method} on {found.data}: {found.words}")
     for heading in ("measure", "value [95 % interval]", "null", "remark"):
         table.add_column(heading)
-    for row in measure_rows(found):
-        table.add_row(*row)
+    for key, title in titles(found).items():
+        row = found.of(key)
+        table.add_row(title, with_interval(interval(row)), number(row["null"]), row["reason"])
     console.print(table)
     console.print(
         f"{found.rollouts} rollouts from {found.starts} test starts; intervals cover "

@@ -46,7 +46,7 @@ def evaluate_command(
 
       animarl evaluate runs/agents --demos later.npz --out out/later
     """
-    from animarl_algos.report.terminal import evaluation_table, verdict_table
+    from animarl_algos.report.verdict_section import evaluation_table, verdict_table
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import evaluate_runs, lacking
     from animarl_algos.runs.run import Run

@@ -96,7 +96,7 @@ def run_command(**given: Any) -> None:
     """
     from animarl_algos.cli.fit import format_fit_table
     from animarl_algos.evaluation.verdict import implausible
-    from animarl_algos.report.terminal import evaluation_table, verdict_table
+    from animarl_algos.report.verdict_section import evaluation_table, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import far_acting_rules

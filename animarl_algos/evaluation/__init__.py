@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.comparison import Evaluation, evaluate
 from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.evaluation.verdict import Verdict, verdict
 

@@ -13,14 +13,15 @@ a quarter of an episode. What their areas are printed beside excuses no row.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.prepared import Prepared, factual
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     UNDEFINED,
@@ -316,77 +317,55 @@ class Judge:
         return replace(row, judgement=DIFFERS, verdict=words)
 
 
-def judge_windows(
+def judges(
     prepared: Prepared,
     counted: Rollouts,
     sides: Mapping[str, Rollouts],
     references: Demonstrations | None,
-    streams: list[np.random.Generator],
+    group: Ints,
+    streams: Sequence[np.random.Generator],
     *,
     alone: bool = False,
-) -> tuple[Judge, bool]:
-    """Ask about two seconds of motion; also whether parts of demonstrations were dealt.
+) -> Iterator[Judge]:
+    """Ask about two seconds of motion, then about order in time.
 
     ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
-    other recordings, by default halves of the evaluated ones are compared. With ``alone`` there is
-    the area of the rollouts and nothing beside it.
+    other recordings to show two seconds of, by default halves of the evaluated ones are compared;
+    ``group`` ``(starts,)`` is the recording of each start. With ``alone`` there is the area of the
+    rollouts and nothing beside it.
     """
-    demos = prepared.demos
+    demos, steps = prepared.demos, window_steps(prepared.recorded)
     block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
 
-    def windows(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
+    def short(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
         made = window_features(rollouts, demos.arena, block=block, still=prepared.rest)
         return made.by_recording(of) if block is None else made
 
-    label = f"Distinguished by a classifier on {WINDOW:g} s (AUC)"
-    judge, own = _judge(AUC, label, windows, prepared, counted, sides, streams[0], alone)
-    if alone:
-        return judge, block is not None
-    if references is None:
-        among = among_themselves(own, streams[1])
-    else:
-        others = windows(prepared.filtered(Rollouts.from_demonstrations(references)), references)
-        apart = replace(others, group=others.group + own.group.max() + 1)
-        among = tell_apart(own, apart, streams[1], deals=1).auc
-    return replace(judge, areas={"among": among, **judge.areas}), block is not None
+    def long(rollouts: Rollouts) -> Windows:
+        return sequence_windows(rollouts, demos.arena, prepared.rest, steps, group)
 
+    def judge(
+        key: str, of: str, windows: Callable[[Rollouts], Windows], rng: np.random.Generator,
+        among: Callable[[Windows], Interval],
+    ) -> Judge:  # fmt: skip
+        own, label = windows(prepared.recorded), f"Distinguished by {of} (AUC)"
+        found = tell_apart(own, windows(counted), rng, importance=not alone, until_clear=alone)
+        if alone:
+            return Judge(key, label, found)
+        areas = {name: tell_apart(own, windows(s), rng, deals=1).auc for name, s in sides.items()}
+        return Judge(key, label, found, {"among": among(own), **areas})
 
-def judge_sequences(
-    prepared: Prepared,
-    counted: Rollouts,
-    sides: Mapping[str, Rollouts],
-    group: Ints,
-    rng: np.random.Generator,
-    *,
-    alone: bool = False,
-) -> Judge:
-    """Ask about order in time; ``group`` ``(starts,)`` is the recording of each start."""
-    steps = window_steps(prepared.recorded)
+    def others(own: Windows) -> Interval:
+        if references is None:
+            return among_themselves(own, streams[1])
+        apart = short(prepared.filtered(Rollouts.from_demonstrations(references)), references)
+        apart = replace(apart, group=apart.group + own.group.max() + 1)
+        return tell_apart(own, apart, streams[1], deals=1).auc
 
-    def windows(rollouts: Rollouts) -> Windows:
-        return sequence_windows(rollouts, prepared.demos.arena, prepared.rest, steps, group)
-
-    label = f"Distinguished by order in time over {steps * prepared.recorded.dt:.3g} s (AUC)"
-    judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng, alone)
-    if alone:
-        return judge
-    return replace(judge, areas={"among": among_themselves(own, rng, halves=1), **judge.areas})
-
-
-def _judge(
-    key: str,
-    label: str,
-    windows: Callable[[Rollouts], Windows],
-    prepared: Prepared,
-    counted: Rollouts,
-    sides: Mapping[str, Rollouts],
-    rng: np.random.Generator,
-    alone: bool,
-) -> tuple[Judge, Windows]:
-    own = windows(prepared.recorded)
-    simulated = tell_apart(own, windows(counted), rng, importance=not alone, until_clear=alone)
-    areas = {name: tell_apart(own, windows(one), rng, deals=1).auc for name, one in sides.items()}
-    return Judge(key, label, simulated, areas), own
+    yield judge(AUC, f"a classifier on {WINDOW:g} s", short, streams[0], others)
+    seconds, halves = steps * prepared.recorded.dt, partial(among_themselves, rng=streams[2])
+    of_order = f"order in time over {seconds:.3g} s"
+    yield judge(SEQUENCE, of_order, long, streams[2], partial(halves, halves=1))
 
 
 def read_beside(
@@ -395,7 +374,7 @@ def read_beside(
     """Return what rollouts are read beside, smoothed as the recordings."""
     demos, sides = prepared.demos, {}
     if (random := baselines.get("random")) is not None:
-        sides["ceiling"] = factual(random, demos)
+        sides["ceiling"] = random.factual(demos)
     if floor is not None:
         sides["floor"] = followed(demos, floor)
     return {name: prepared.filtered(one) for name, one in sides.items()}

@@ -1,4 +1,4 @@
-"""Every method against the recordings and against every other one.
+"""A whole evaluation: every method against the recordings and every other one, tables as files.
 
 Which episodes count is part of every row: ``"all"``, or ``"captures"`` (rollouts and recordings in
 which the target was reached). The two can point in opposite directions, so both are always there.
@@ -6,20 +6,29 @@ which the target was reached). The two can point in opposite directions, so both
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import permutations as ordered_pairs
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.metrics import DURATION, METRICS, RETURN, Metric
-from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
+from animarl_algos.evaluation.classifier import Tracked
+from animarl_algos.evaluation.metrics import (
+    METRICS,
+    TARGET_REACHED,
+    Metric,
+    measure,
+    measure_recordings,
+)
+from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
     FEW_ROLLOUTS,
     RESAMPLES,
-    UNDEFINED,
     Cells,
     Draws,
     Floats,
@@ -30,70 +39,90 @@ from animarl_algos.evaluation.statistics import (
     covers,
     energy_cells,
     pooled_score,
-    put_intervals,
+    row_of,
     shared_starts,
 )
+from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import write_then_rename
 
 if TYPE_CHECKING:
     import pandas as pd
 
+TABLES = ("metrics", "comparison", "pairs")
+NUMBERS = ("fingerprint", "seed", "resamples")
 COUNTING = {"all": "all episodes", "captures": "captures only"}
+ENERGY = "energy of "
+"""Before the key of a metric: its energy score."""
 PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
 GATE_LEVEL = 0.05
-PAIR_COLUMNS = [
-    "metric", "counting", "first", "second", "demos", "pairing", "covers",
-    "difference", "difference_low", "difference_high",
-    "energy", "energy_low", "energy_high", "gate", "gate_p", "reason",
-]  # fmt: skip
 
 
-def factual(metrics: pd.DataFrame) -> pd.DataFrame:
-    """The rows that may be compared with the recordings.
+@dataclass(frozen=True, eq=False)
+class _Measure:
+    """A metric, or its energy score, of every method by seed and start."""
 
-    In them the world is in the condition of the recording, and the policy was told so, or told
-    nothing.
-    """
-    recorded = metrics[metrics["method"] == RECORDED].set_index("demo")["condition"]
-    same_world = metrics["condition"].to_numpy() == recorded.loc[metrics["demo"]].to_numpy()
-    true_cue = (metrics["cue"] == metrics["condition"]) | (metrics["cue"] == NO_CUE)
-    kept: pd.DataFrame = metrics[same_world & true_cue]
-    return kept
+    metric: Metric
+    counting: str
+    data: Mapping[str, Cells]
+    truth: Floats | None = None  # recorded values, of an energy score
+
+    @property
+    def key(self) -> str:
+        return self.metric.key if self.truth is None else ENERGY + self.metric.key
+
+    @property
+    def share(self) -> bool:
+        return self.metric.share and self.truth is None
+
+    def explained(self, found: Interval, *sides: Cells) -> Interval:
+        """Return an interval; an energy score needs two rollouts of a start on each side."""
+        enough = self.truth is None or all(data.counts.any() for data in sides)
+        return found if enough else Interval(math.nan, reason=FEW_ROLLOUTS)
 
 
+@dataclass(frozen=True, eq=False)
 class _Methods:
-    """Rows that may be compared, by method, gathered into cells of seed and demonstration."""
+    """Rows that may be compared, by method."""
 
-    def __init__(self, metrics: pd.DataFrame, num_demos: int) -> None:
-        by_method = factual(metrics).groupby("method", sort=False)
-        self.rows = {str(name): rows for name, rows in by_method}
-        self.simulated = [name for name in self.rows if name != RECORDED]
-        self.num_demos = num_demos
+    metrics: pd.DataFrame
+    num_demos: int
 
-    def values(self, name: str, metric: Metric, counting: str) -> pd.Series[float]:
-        """Of every rollout, NaN where it does not count."""
-        rows = self.rows[name]
-        return rows[metric.key].where(rows["captured"] | (counting == "all"))
+    @cached_property
+    def rows(self) -> dict[str, pd.DataFrame]:
+        by_method = self.metrics[self.metrics["factual"]].groupby("method", sort=False)
+        return {str(name): rows for name, rows in by_method}
 
-    def cells(self, name: str, metric: Metric, counting: str = "all") -> Cells:
-        rows = self.rows[name]
-        return cells(
-            self.values(name, metric, counting), rows["seed"], rows["demo"], self.num_demos
-        )
+    def measures(self) -> Iterator[_Measure]:
+        """Yield every metric by every rule of what counts, and its energy score.
 
-    def energy(self, name: str, metric: Metric, counting: str = "all") -> Cells:
-        """Energy score at every start."""
-        rows, truth = self.rows[name], self.cells(RECORDED, metric, counting).cell_means[0]
-        return energy_cells(self.values(name, metric, counting), rows["seed"], rows["demo"], truth)
+        A share among captures would say nothing; where nobody can be reached, there are none.
+        """
+        known = [metric for metric in METRICS if metric.compared and metric.key in self.metrics]
+        for metric in known:
+            for rule in COUNTING if TARGET_REACHED in known and not metric.share else ("all",):
+                values = {
+                    name: rows[metric.key].where(rows["captured"] | (rule == "all"))
+                    for name, rows in self.rows.items()
+                    if metric.of_recordings or name != RECORDED
+                }
+                data = {
+                    name: cells(each, *self._place(name), self.num_demos)
+                    for name, each in values.items()
+                }
+                yield _Measure(metric, rule, data)
+                if metric.has_distribution and RECORDED in data:
+                    truth = data[RECORDED].cell_means[0]
+                    scores = {
+                        name: energy_cells(each, *self._place(name), truth)
+                        for name, each in values.items()
+                        if name != RECORDED
+                    }
+                    yield _Measure(metric, rule, scores, truth)
 
-
-def _counted_metrics(measured: pd.DataFrame) -> list[tuple[Metric, str]]:
-    """Every measured metric with every rule of what counts.
-
-    A share among captures would say nothing; where nobody can be reached, there are none.
-    """
-    known = [metric for metric in METRICS if metric.compared and metric.key in measured]
-    rules = tuple(COUNTING) if RETURN in known else ("all",)
-    return [(m, rule) for m in known for rule in rules if rule == "all" or not m.share]
+    def _place(self, name: str) -> tuple[pd.Series[int], pd.Series[int]]:
+        return self.rows[name]["seed"], self.rows[name]["demo"]
 
 
 def comparison_table(
@@ -103,7 +132,7 @@ def comparison_table(
     *,
     resamples: int = RESAMPLES,
 ) -> pd.DataFrame:
-    """Means, differences and distances of every method, with 95 % intervals.
+    """Means and energy scores of every method, with 95 % intervals.
 
     Parameters
     ----------
@@ -114,71 +143,40 @@ def comparison_table(
 
     Returns
     -------
-    One row per method, metric and counting rule. ``rollouts``, ``demos`` and ``seeds`` say how many
-    count, ``covers`` what an interval speaks of. Each of the following comes with ``_low`` and
-    ``_high``; where they are not defined, ``reason`` says why.
-
-    - ``mean``;
-    - ``to_recorded``: less the recorded mean, on the ``to_recorded_demos`` starts that both have;
-    - ``energy``: mean energy score per start, the measure of a distribution; beside it
-      ``energy_pooled``, what the recordings of all other starts score.
-
-    Beside a distance to the recordings (DTW) stand ``duration`` and ``reached`` of the same
-    episodes, without which a short episode passes for a close one.
+    One row per method, measure and counting rule. A measure is a metric or its energy score, the
+    mean over starts, whose ``null`` is what the recordings of all other starts score. ``demos``
+    and ``seeds`` say how many count, ``rollouts`` of how many (of an energy score, starts times
+    seeds), and ``covers`` what the interval from ``low`` to ``high`` speaks of; where there is
+    none, ``reason`` says why.
     """
     import pandas as pd
 
-    methods, draws = _Methods(metrics, num_demos), Draws.by(rng, resamples)
-    table, reaches = [], RETURN.key in metrics
-    for metric, counting in _counted_metrics(metrics):
-        gathered = {name: methods.cells(name, metric, counting) for name in methods.rows}
-        reference = gathered[RECORDED]
-        truth = reference.cell_means[0]
-        for name, data in gathered.items():
-            simulation = name != RECORDED
-            compared = simulation and metric.of_recordings
-            if not (simulation or metric.of_recordings):
-                continue
-            shared = data.starts & reference.starts
-            gap, energy, pooled = UNDEFINED, UNDEFINED, math.nan
-            if compared:
-                gap = bootstrap_difference(data, reference, draws, share=metric.share)
-            if compared and metric.has_distribution:
-                energies = methods.energy(name, metric, counting)
-                energy = _energy_interval(bootstrap_mean(energies, draws), energies)
-                pooled = pooled_score(truth[shared])
-            reason = "" if simulation else "recordings are what is compared with"
-            if simulation and not metric.has_distribution:
-                reason = "a share has no distribution" if metric.share else "it is a distance"
-            row: dict[str, Any] = {
-                "method": name,
-                "metric": metric.key,
-                "counting": counting,
-                "rollouts": int(data.counts.sum()),
-                "demos": int(data.starts.sum()),
-                "seeds": len(data.counts),
-                "covers": covers(data) if simulation else "demonstrations like these",
-                "to_recorded_demos": int(shared.sum()) if compared else 0,
-                "energy_pooled": pooled,
-                "duration": methods.cells(name, DURATION, counting).mean,
-                "reached": methods.cells(name, RETURN, counting).mean if reaches else math.nan,
-                "reason": reason,
-            }
-            mean = bootstrap_mean(data, draws, share=metric.share)
-            put_intervals(row, mean=mean, to_recorded=gap, energy=energy)
-            table.append(row)
+    draws, table = Draws.by(rng, resamples), []
+    for each in _Methods(metrics, num_demos).measures():
+        for name, data in each.data.items():
+            value = each.explained(bootstrap_mean(data, draws, share=each.share), data)
+            null = math.nan if each.truth is None else pooled_score(each.truth[data.starts])
+            table.append(
+                row_of(
+                    value, method=name, measure=each.key, counting=each.counting,
+                    rollouts=int(data.counts.sum()), demos=int(data.starts.sum()),
+                    seeds=len(data.counts), null=null,
+                    covers=covers(data) if name != RECORDED else "demonstrations like these",
+                )
+            )  # fmt: skip
     return pd.DataFrame(table)
 
 
 def pair_table(
     metrics: pd.DataFrame, num_demos: int, rng: np.random.Generator, *, resamples: int = RESAMPLES
 ) -> pd.DataFrame:
-    """Every simulated method minus every other, paired by demonstration.
+    """Every simulated method minus every other and minus the recordings, paired by demonstration.
 
-    One row per metric, counting rule and ordered pair: the ``difference`` of their means and of
-    their ``energy`` scores (below zero, the ``first`` is closer to the recordings) with 95 %
-    intervals, and the ``reason`` where there is none. Only starts that both have count: ``demos``
-    of them, which ``pairing`` says if they are not all. Nothing corrects for the number of pairs.
+    One row per measure, counting rule and ordered pair: the ``value`` is the difference of their
+    means, or of their energy scores (below zero, the ``first`` is closer to the recordings), with
+    its 95 % interval, and the ``reason`` where there is none. Only starts that both have count:
+    ``demos`` of them, which ``pairing`` says if they are not all. Nothing corrects for the number
+    of pairs.
 
     A pair that was planned (``PLANNED_CONTRASTS``) also has the ``gate``, all episodes counting: an
     ANOVA over the training seeds of all methods that are in such a pair, by their energy scores
@@ -187,46 +185,36 @@ def pair_table(
     """
     import pandas as pd
 
-    methods, draws = _Methods(metrics, num_demos), Draws.by(rng, resamples)
-    own = {name.casefold(): name for name in methods.simulated}
+    draws, methods, table = Draws.by(rng, resamples), _Methods(metrics, num_demos), []
+    own = {name.casefold(): name for name in methods.rows if name != RECORDED}
     planned = {
         (own[one.casefold()], own[other.casefold()])
         for one, other in PLANNED_CONTRASTS
         if {one.casefold(), other.casefold()} <= set(own)
     }
-    table = []
-    for metric, counting in _counted_metrics(metrics):
-        data = {name: methods.cells(name, metric, counting) for name in methods.simulated}
-        energies = {}
-        if metric.has_distribution and RECORDED in methods.rows:
-            energies = {name: methods.energy(name, metric, counting) for name in data}
-        opened = None
-        if planned and metric.planned and counting == "all":
-            opened = _gate_of(energies or data, {one for pair in planned for one in pair}, rng)
-        for first, second in ordered_pairs(data, 2):
-            one, other = data[first], data[second]
+    for each in methods.measures():
+        metric, opened = each.metric, None
+        gated = each.truth is not None or not metric.has_distribution
+        if planned and metric.planned and each.counting == "all" and gated:
+            opened = _gate_of(each.data, {one for pair in planned for one in pair}, rng)
+        for first, second in ordered_pairs(each.data, 2):
+            if first == RECORDED:
+                continue
+            one, other = each.data[first], each.data[second]
+            gap = bootstrap_difference(one, other, draws, share=each.share)
             same = (one.starts == other.starts).all()
-            row: dict[str, Any] = {
-                "metric": metric.key,
-                "counting": counting,
-                "first": first,
-                "second": second,
-                "demos": int((one.starts & other.starts).sum()),
-                "pairing": "paired, same starts" if same else "paired, shared starts only",
-                "covers": covers(one, other),
-                "reason": "",
-            }
-            energy = UNDEFINED
-            if energies:
-                sides = energies[first], energies[second]
-                energy = _energy_interval(bootstrap_difference(*sides, draws), *sides)
-            gap = bootstrap_difference(one, other, draws, share=metric.share)
-            put_intervals(row, difference=gap, energy=energy)
+            row = row_of(
+                each.explained(gap, one, other), measure=each.key,
+                counting=each.counting, first=first, second=second,
+                demos=int((one.starts & other.starts).sum()),
+                pairing="paired, same starts" if same else "paired, shared starts only",
+                covers=covers(one) if second == RECORDED else covers(one, other), gate="",
+                gate_p=math.nan,
+            )  # fmt: skip
             if opened is not None and (first, second) in planned:
                 row |= {"gate": opened.decision, "gate_p": opened.p}
             table.append(row)
-    found = pd.DataFrame(table, columns=PAIR_COLUMNS)
-    return found.assign(gate=found["gate"].astype(object).fillna(""))
+    return pd.DataFrame(table)
 
 
 def _gate_of(data: Mapping[str, Cells], taking_part: set[str], rng: np.random.Generator) -> Gate:
@@ -235,11 +223,6 @@ def _gate_of(data: Mapping[str, Cells], taking_part: set[str], rng: np.random.Ge
     if shared[0].counts.shape[1] == 0:
         return Gate(math.nan, math.nan)
     return gate([cells.seed_means for cells in shared], rng)
-
-
-def _energy_interval(found: Interval, *sides: Cells) -> Interval:
-    enough = all(data.counts.any() for data in sides)
-    return found if enough else Interval(math.nan, reason=FEW_ROLLOUTS)
 
 
 # -- the gate -------------------------------------------------------------------------------------
@@ -287,3 +270,147 @@ def gate(
     between = ((belongs * (values - values.mean())).sum(axis=-1) ** 2 / sizes).sum(axis=-1)
     at_least = int(np.count_nonzero(between[1:] >= between[0] * (1 - 1e-9)))
     return Gate((1 + at_least) / (1 + permutations), least)
+
+
+# -- whole evaluations ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation:
+    """The tables of an evaluation, each a tidy data frame, and the verdict on one method.
+
+    ``metrics`` has one row per rollout and recording, ``comparison`` one per method, metric and
+    counting rule, ``pairs`` one per ordered pair of methods.
+    ``fingerprint`` is that of the evaluated demonstrations.
+    """
+
+    metrics: pd.DataFrame
+    comparison: pd.DataFrame
+    pairs: pd.DataFrame
+    verdict: Verdict
+    fingerprint: str
+    seed: int
+    resamples: int
+
+    def save(self, folder: str | Path) -> Path:
+        """Write a CSV per table, the verdict and ``evaluation.json``, each whole or not at all."""
+        folder = Path(folder)
+        for name in TABLES:
+            with write_then_rename(folder / f"{name}.csv") as part:
+                getattr(self, name).to_csv(part, index=False)
+        self.verdict.save(folder)
+        with write_then_rename(folder / "evaluation.json") as part:
+            part.write_text(
+                json.dumps({key: getattr(self, key) for key in NUMBERS}, indent=2) + "\n"
+            )
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Evaluation:
+        """Read what :meth:`save` wrote, or raise InputError if a file is missing or damaged."""
+        folder = Path(folder)
+        try:
+            numbers = json.loads((folder / "evaluation.json").read_text())
+            tables: dict[str, Any] = {n: read_table(folder / f"{n}.csv") for n in TABLES}
+            return cls(**tables, **numbers, verdict=Verdict.load(folder))
+        except FileNotFoundError as error:
+            raise InputError(
+                f"{folder}: {Path(error.filename).name} is missing: evaluate the run again"
+            ) from None
+        except (ValueError, TypeError) as error:
+            raise InputError(
+                f"{folder}: the evaluation is damaged ({error}): evaluate the run again"
+            ) from error
+
+
+def evaluate(
+    rollouts: Mapping[str, Rollouts],
+    demos: Demonstrations,
+    *,
+    seed: int,
+    learner: str | None = None,
+    floor: Tracked | None = None,
+    references: Demonstrations | None = None,
+    smoothing: int | None = None,
+    resamples: int = RESAMPLES,
+) -> Evaluation:
+    """Measure and compare the rollouts of several methods.
+
+    Parameters
+    ----------
+    rollouts
+        By method name, all its seeds and cues joined.
+    demos
+        The evaluated demonstrations, which the rollouts started from.
+    seed
+        Of the resampling.
+    learner
+        The method that the verdict is about; the first by default.
+    floor, references, smoothing
+        See :func:`~animarl_algos.evaluation.verdict.verdict`.
+    """
+    import pandas as pd
+
+    if not rollouts:
+        raise InputError("there are no rollouts to evaluate: collect those of one method at least")
+    learner = learner or next(iter(rollouts))
+    if learner not in rollouts:
+        raise InputError(
+            f"there are no rollouts of {learner!r}: choose one of {', '.join(rollouts)}"
+        )
+    tables = [measure_recordings(demos)]
+    tables += [measure(r, demos).assign(method=name) for name, r in rollouts.items()]
+    metrics = pd.concat(tables, ignore_index=True)
+    compared = set(metrics.loc[metrics["factual"], "method"])
+    for name in rollouts:
+        if name not in compared:
+            raise InputError(
+                f"no rollout of {name!r} is in the condition of its recording: collect them with "
+                "condition='demo' and the actual cue"
+            )
+    streams = np.random.default_rng(seed).spawn(4)
+    number = demos.num_episodes
+    return Evaluation(
+        metrics=metrics,
+        comparison=comparison_table(metrics, number, streams[0], resamples=resamples),
+        pairs=pair_table(metrics, number, streams[3], resamples=resamples),
+        verdict=verdict(
+            demos,
+            replace(rollouts[learner], method=learner),
+            seed=seed,
+            floor=floor,
+            baselines={name: r for name, r in rollouts.items() if name != learner},
+            references=references,
+            smoothing=smoothing,
+        ),
+        fingerprint=demos.fingerprint(),
+        seed=seed,
+        resamples=resamples,
+    )
+
+
+def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None:
+    """Every table that has columns as ``NAME.csv`` and ``NAME.parquet``, whole or not at all.
+
+    Their column ``reason`` says why a number of the row is missing; reasons that a table has
+    already are kept. MissingExtraError if pyarrow is not installed.
+    """
+    for name, table in tables.items():
+        if not len(table.columns):
+            continue
+        given = table["reason"].fillna("") if "reason" in table else [""] * len(table)
+        reasons = [str(own) or _reason(row) for own, (_, row) in zip(given, table.iterrows())]
+        tidy = table.assign(reason=reasons)
+        with write_then_rename(Path(folder) / f"{name}.csv") as part:
+            tidy.to_csv(part, index=False)
+        with write_then_rename(Path(folder) / f"{name}.parquet") as part:
+            try:
+                tidy.to_parquet(part, index=False, engine="pyarrow")
+            except ImportError as error:
+                raise MissingExtraError("writing Parquet", "algos") from error
+
+
+def _reason(row: Any) -> str:
+    """Why values of a row are missing, where it does not say so itself."""
+    missing = [key for key, value in row.items() if isinstance(value, float) and np.isnan(value)]
+    return f"not defined with so few values: {', '.join(missing)}" if missing else ""

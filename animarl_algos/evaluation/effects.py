@@ -14,25 +14,28 @@ and it differs from that of networks that learned nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from animarl_algos.evaluation.metrics import PATH_LENGTH, Metric, MetricInputs
+from animarl_algos.evaluation.comparison import COUNTING
+from animarl_algos.evaluation.metrics import PATH_LENGTH, Metric
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
     CONFIDENCE,
     RESAMPLES,
-    UNDEFINED,
     Cells,
+    Draws,
     Interval,
     bootstrap_difference,
     bootstrap_mean,
     cells,
-    put_intervals,
+    row_of,
     single_cells,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -44,13 +47,11 @@ MEAN, FLIPPED = "mean", "mean, cue flipped"
 ERROR, PREDICTED, TRUE = "signed error", "predicted shift", "true shift"
 MISSED, UNTRAINED_SHIFT, BLIND = "predicted - true", "untrained shift", "flag zeroed"
 ACCURACY, ERROR_DIFFERENCE = "treatment accuracy", "difference of signed errors"
-COUNTINGS = ("all", "captures")
 NO_TRUTH = "no truth is known for these demonstrations: give --truth"
 FEWEST_SEEDS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
+class Answers(NamedTuple):
     """Rollouts of one method from the same starts, told the true condition and the other one."""
 
     factual: Rollouts
@@ -81,7 +82,7 @@ class Effects:
     """``table`` one row per quantity, ``claims`` one row per method and flip.
 
     The columns ``condition`` and ``told`` are those of the starts and of the policy; ``value`` has
-    a 95 % interval; ``seeds`` and ``starts`` count, and ``reason`` says why there is no value or
+    a 95 % interval; ``seeds`` and ``demos`` count, and ``reason`` says why there is no value or
     claim.
     """
 
@@ -112,10 +113,10 @@ def cue_effects(
     """
     import pandas as pd
 
-    worked = _Effects(demos, metric, teams, planned, np.random.default_rng(seed), resamples)
+    worked = _Effects(demos, metric, teams, planned, Draws(seed, resamples))
     rows = [
         worked.row(RECORDED, MEAN, c, c, counting, worked.recorded(counting, c))
-        for counting, c in worked.everything()
+        for counting, c in worked.everything
     ]
     claims: list[dict[str, Any]] = []
     for name, one in asked.items():
@@ -133,14 +134,16 @@ class _Effects:
     metric: Metric
     teams: tuple[Rollouts, Rollouts] | None
     planned: tuple[int, int] | None
-    rng: np.random.Generator
-    resamples: int
+    draws: Draws
+
+    @property
+    def everything(self) -> list[tuple[str, int]]:
+        conditions = np.unique(self.demos.condition).tolist()
+        return [(counting, c) for counting in COUNTING for c in conditions]
 
     def method_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
-        for counting, c in self.everything():
-            factual, flipped = (
-                self.of(side, counting, c) for side in (one.trained.factual, one.trained.flipped)
-            )
+        for counting, c in self.everything:
+            factual, flipped = (self.of(side, counting, c) for side in one.trained)
             predicted, true = minus(flipped, factual), self.true_shift(one, counting, c)
             found: dict[str, tuple[int, Cells | str]] = {
                 MEAN: (c, factual),
@@ -157,21 +160,22 @@ class _Effects:
                 found[BLIND] = 1 - c, "it acts without chance: asked twice, it does the same"
             for quantity, (told, data) in found.items():
                 yield self.row(name, quantity, c, told, counting, data, one.main)
-        accuracy = np.array(list(one.accuracy.values()))[:, None]
-        data = single_cells(accuracy) if len(accuracy) else "it has no treatment head"
-        mean = UNDEFINED if isinstance(data, str) else Interval(data.mean)
-        row = self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
-        yield row | {"starts": 0, "reason": row["reason"] or "no interval is worked out"}
+        if one.accuracy:
+            mean = Interval(
+                float(np.mean([*one.accuracy.values()])), reason="no interval is worked out"
+            )
+            data = single_cells(np.array([*one.accuracy.values()])[:, None])
+            yield self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
 
     def claim_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
         """Only over all episodes: what counts among captures depends on what is asked."""
-        for c in self.conditions:
+        for c in np.unique(self.demos.condition).tolist():
             against = "this flip was not planned in advance"
             if (c, 1 - c) == self.planned:
                 shift, untrained = (self.shift(a, "all", c) for a in (one.trained, one.untrained))
                 assert isinstance(shift, Cells)
                 null = None if isinstance(untrained, str) else untrained
-                against = objection_to_claim(shift, null, self.rng, self.resamples)
+                against = objection_to_claim(shift, null, self.draws)
             yield {"method": name, "condition": c, "told": 1 - c, "worded": not against,
                    "reason": against}  # fmt: skip
 
@@ -179,24 +183,22 @@ class _Effects:
         self, first: str, a: Asked, second: str, b: Asked
     ) -> Iterator[dict[str, Any]]:
         """Signed error of one method minus that of another, on the same starts."""
-        for counting, c in self.everything():
+        for counting, c in self.everything:
             truth = self.recorded(counting, c)
             mine, other = (
                 minus(self.of(one.trained.factual, counting, c), truth) for one in (a, b)
             )
-            value = bootstrap_difference(mine, other, self.rng, self.resamples)
+            value = bootstrap_difference(mine, other, self.draws)
             name = f"{first} - {second}"
             yield self.row(name, ERROR_DIFFERENCE, c, c, counting, mine, a.main, value)
 
     def true_shift(self, one: Asked, counting: str, c: int) -> Cells | str:
         """What the other condition does from the starts of condition ``c``."""
         if one.world is not None:
-            sides = one.world, one.trained.factual
-        elif self.teams is not None:
-            sides = self.teams[1 - c], self.teams[c]
-        else:
-            return NO_TRUTH
-        return minus(*(self.of(side, counting, c) for side in sides))
+            return self.shift(Answers(one.trained.factual, one.world), counting, c)
+        if self.teams is not None:
+            return self.shift(Answers(self.teams[c], self.teams[1 - c]), counting, c)
+        return NO_TRUTH
 
     def shift(self, answers: Answers | None, counting: str, c: int) -> Cells | str:
         if answers is None:
@@ -210,44 +212,30 @@ class _Effects:
         """The metric by seed and start, of starts of condition ``c``."""
         starts = self.demos.condition == c
         counts = starts[rollouts.demo] & (rollouts.captured | (counting == "all"))
-        values = self.metric.measure(MetricInputs(rollouts, self.demos))
+        values = self.metric.measure(Prepared(self.demos).episodes(rollouts))
         whole = cells(values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts)
         return Cells(whole.sums[:, starts], whole.counts[:, starts])
-
-    @property
-    def conditions(self) -> list[int]:
-        return [c for c in (0, 1) if (self.demos.condition == c).any()]
-
-    def everything(self) -> list[tuple[str, int]]:
-        return [(counting, c) for counting in COUNTINGS for c in self.conditions]
 
     def row(
         self, method: str, quantity: str, of: int, told: int, counting: str, data: Cells | str,
         main: bool = True, value: Interval | None = None,
     ) -> dict[str, Any]:  # fmt: skip
         """A row of the table; ``data`` is why there is nothing where there is nothing."""
-        seeds, starts, reason = 0, 0, data if isinstance(data, str) else ""
-        if isinstance(data, Cells):
+        seeds = starts = 0
+        if isinstance(data, str):
+            value = Interval(math.nan, reason=data)
+        else:
             seeds, starts = len(data.sums), int(data.starts.sum())
-            if value is None and starts == 0:
-                reason = "no start in which both answers count"
-            elif value is None:
-                value = bootstrap_mean(data, self.rng, self.resamples)
-                reason = "" if np.isfinite(value.low) else "too few starts for an interval"
-        row: dict[str, Any] = {
-            "method": method,
-            "variant": "" if method == RECORDED else "main" if main else "supplementary",
-            "quantity": quantity,
-            "condition": of,
-            "told": told,
-            "planned": (of, told) == self.planned,
-            "counting": counting,
-        }
-        put_intervals(row, value=value or UNDEFINED)
+            value = value or bootstrap_mean(data, self.draws)
         speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
         if method == RECORDED or (quantity == TRUE and self.teams is not None):
             seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
-        return row | {"seeds": seeds, "starts": starts, "speaks_of": speaks_of, "reason": reason}
+        return row_of(
+            value, method=method,
+            variant="" if method == RECORDED else "main" if main else "supplementary",
+            quantity=quantity, condition=of, told=told, planned=(of, told) == self.planned,
+            counting=counting, seeds=seeds, demos=starts, covers=speaks_of,
+        )  # fmt: skip
 
 
 def minus(first: Cells, second: Cells) -> Cells:
@@ -261,30 +249,21 @@ def minus(first: Cells, second: Cells) -> Cells:
 def objection_to_claim(
     shift: Cells,
     untrained: Cells | None,
-    rng: np.random.Generator,
+    rng: np.random.Generator | Draws,
     resamples: int = RESAMPLES,
 ) -> str:
     """Why a shift by seed and start is not worded as an effect; empty where it may be."""
+    from scipy.stats import ttest_1samp
+
     seeds = len(shift.sums)
     if seeds < FEWEST_SEEDS:
         return f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
     if untrained is None or len(untrained.sums) < FEWEST_SEEDS:
         return "there are too few untrained networks to tell it apart from"
-    if not over_seeds(shift).excludes_zero:
+    if not ttest_1samp(shift.seed_means, 0.0).pvalue < 1 - CONFIDENCE:
         return "the training seeds do not agree"
     if not bootstrap_mean(shift, rng, resamples).excludes_zero:
         return "the interval includes zero"
     if not bootstrap_difference(shift, untrained, rng, resamples).excludes_zero:
         return "it is not told apart from that of untrained networks"
     return ""
-
-
-def over_seeds(data: Cells) -> Interval:
-    """Mean of the seeds' means with Student's interval; undefined for fewer than two."""
-    from scipy import stats
-
-    means = data.seed_means[np.isfinite(data.seed_means)]
-    if len(means) < 2:
-        return Interval(float(means.mean()) if len(means) else np.nan)
-    centre, error = float(means.mean()), float(stats.sem(means))
-    return Interval(centre, *stats.t.interval(CONFIDENCE, len(means) - 1, centre, error))

@@ -9,130 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from animarl_algos.evaluation.order_in_time import (
-    MEASURES,
-    EpisodeMeasures,
-    angle,
-    lags_for,
-    median_steps,
-    order_measures,
-    seconds_of,
-)
+from animarl_algos.evaluation.order_in_time import MEASURES, lags_for, median_steps, seconds_of
+from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
-from animarl_algos.evaluation.windows import resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, Episodes
-from animarl_envs.demos.summary import RECORDED_SCALE, RESTING_SHARE
-from animarl_envs.dtw import dtw_alignment
+from animarl_envs.demos.summary import RECORDED_SCALE
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-
 ARENA_UNITS = RECORDED_SCALE.name
-SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a slow one
 GOAL, GROUP, ANIMAL = "goal", "group", "animal"  # what a metric may be about
-REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
 
 
-@dataclass(frozen=True, eq=False)
-class MetricInputs:
-    """What metrics are worked out from: rollouts and the demonstrations they started from.
-
-    Parameters
-    ----------
-    rollouts, demos
-        ``rollouts.demo`` counts the episodes of ``demos``.
-    slow
-        ``(individuals,)`` speeds below which a step is slow [arena unit / s], see
-        :func:`slow_speeds`; by default those of the demonstrations.
-    rounding
-        Who is outside the arena by no more than this [arena unit] may have been rounded there.
-    ordered
-        Measures the order in time of the rollouts, by default as they are, without smoothing.
-    """
-
-    rollouts: Rollouts
-    demos: Demonstrations
-    slow: Floats | None = None
-    rounding: float = 0.0
-    ordered: Callable[[], EpisodeMeasures] | None = None
-
-    @cached_property
-    def order(self) -> EpisodeMeasures:
-        """Order in time, reactions and places, at the lags of the demonstrations."""
-        if self.ordered is not None:
-            return self.ordered()
-        recorded = Rollouts.from_demonstrations(self.demos)
-        lags = lags_for(median_steps(recorded), self.demos.dt)
-        return order_measures(self.rollouts, lags, resting_step(recorded), self.demos.arena)
-
-    @cached_property
-    def dtw(self) -> Floats:
-        """``(2, rollouts)``: DTW distance of those who move by themselves, and the same per step.
-
-        Means over individuals, of whole paths and of the distance of aligned positions [arena
-        unit].
-        """
-        distance, pairs = dtw_alignments(self.rollouts, self.demos)
-        return np.stack([self._mean_over_movers(each) for each in (distance, distance / pairs)])
-
-    @property
-    def path_length(self) -> Floats:
-        """``(rollouts,)``: mean over those who move by themselves [arena unit]."""
-        return self._mean_over_movers(path_lengths(self.rollouts))
-
-    @property
-    def duration(self) -> Floats:
-        """``(rollouts,)`` [s]."""
-        return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
-
-    @cached_property
-    def ending(self) -> NDArray[np.int64]:
-        """``(rollouts,)``: reached, target out, pursuer out, or neither."""
-        return ending(self.rollouts)
-
-    @property
-    def outside(self) -> NDArray[np.bool_]:
-        """``(rollouts,)``, whether somebody was outside the arena, or left it."""
-        inside = self.demos.arena.contains(self.rollouts.positions, margin=self.rounding)
-        ever = np.logical_or.reduceat(~inside.all(axis=1), self.rollouts.offsets[:-1])
-        return np.asarray(ever | np.isin(self.ending, (TARGET_OUT, PURSUER_OUT)))
-
-    @cached_property
-    def motion(self) -> Floats:
-        """``(4, rollouts)``, means over individuals.
-
-        Mean and median speed of single steps [arena unit / s], share of slow steps, and the angle
-        between successive steps summed over an episode, divided by its duration [rad/s].
-        """
-        rollouts, slow = self.rollouts, self.slow
-        if slow is None:
-            slow = slow_speeds(Rollouts.from_demonstrations(self.demos))
-        found = np.zeros((4, len(rollouts)))
-        for i in range(len(rollouts)):
-            moved = np.diff(rollouts.path(i), axis=0)
-            if len(moved) == 0:
-                continue
-            speed = np.linalg.norm(moved, axis=-1) / rollouts.dt
-            turned = np.abs(angle(moved[:-1], moved[1:])).sum(axis=0).mean()
-            median = np.median(speed, axis=0).mean()
-            found[:, i] = speed.mean(), median, (speed < slow).mean(), turned / self.duration[i]
-        return found
-
-    def _mean_over_movers(self, values: Floats) -> Floats:
-        return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
-
-
-Measure = Callable[[MetricInputs], Floats]
+Measure = Callable[[MeasuredEpisodes], Floats]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,21 +104,17 @@ class Metric:
         """Whether its distribution is compared with that of the recordings."""
         return self.of_recordings and not self.share
 
-    @property
-    def axis(self) -> str:
-        """Of a figure."""
-        unit = "% of episodes" if self.share else self.unit
-        return f"{self.label} ({unit})" if unit else self.label
 
-
-RETURN = Metric(
-    key="return",
+TARGET_REACHED = Metric(
+    key="reached",
     label="Target reached",
-    unit="share of episodes",
+    unit="share",
     measure=lambda episodes: episodes.rollouts.captured.astype(float),
     share=True,
+    is_ending=True,
     about=GOAL,
-    judged=False,  # "reached" is
+    too_much="reaches the target too often",
+    too_little="reaches the target too rarely",
     caption="Share of episodes in which a pursuer reached the target (the moth the source), all "
     "episodes.",
     heading="target\nreached, %",
@@ -281,7 +172,7 @@ def _of_verdict(
     """A metric that the verdict judges and the comparison of methods leaves out."""
     return Metric(
         key=key, label=label, unit=unit, measure=measure, too_much=much, too_little=little,
-        compared=False, on_board=key in ("reached", "mean_speed"), **more,
+        compared=False, on_board=key == "mean_speed", **more,
     )  # fmt: skip
 
 
@@ -306,13 +197,11 @@ def _order_of(name: str) -> Measure:
 
 
 METRICS = [
-    RETURN,
+    TARGET_REACHED,
     PATH_LENGTH,
     DURATION,
     DTW,
     DTW_PER_STEP,
-    _ended("reached", "Target reached", REACHED,
-           "reaches the target too often", "reaches the target too rarely"),
     _ended("target_out", "Ended by the target leaving", TARGET_OUT,
            "the target leaves too often", "the target leaves too rarely"),
     _ended("pursuer_out", "Ended by a pursuer leaving", PURSUER_OUT,
@@ -367,6 +256,15 @@ def judged_metrics(recorded: Episodes) -> list[Metric]:
     return sorted(chosen, key=lambda metric: not metric.is_ending)
 
 
+def measures(prepared: Prepared, rollouts: Rollouts) -> dict[str, Floats]:
+    """Return every judged metric of every episode, lengths in the recordings' unit."""
+    episodes, scale = prepared.episodes(rollouts), prepared.unit.per_arena_unit
+    return {
+        metric.key: (scale if metric.is_length else 1.0) * metric.measure(episodes)
+        for metric in judged_metrics(prepared.demos)
+    }
+
+
 def compared_metrics(recorded: Episodes) -> list[Metric]:
     """Return the metrics that methods are compared by, of this kind of recordings."""
     return [metric for metric in _of_kind(recorded) if metric.compared]
@@ -377,29 +275,6 @@ def _of_kind(recorded: Episodes) -> list[Metric]:
     return [one for one in METRICS if one.about in ("", GOAL if recorded.has_goal else kind)]
 
 
-def slow_speeds(recorded: Rollouts) -> Floats:
-    """Return the speed below which each individual is slow, ``(individuals,)`` [arena unit / s].
-
-    It is a quarter of the median speed of those recorded steps in which it moves at all, faster
-    than 5 % of its 99th percentile.
-    """
-    speeds = recorded.speeds()
-    if recorded.is_group:  # animals of a group are alike
-        speeds = np.repeat(speeds.reshape(-1, 1), speeds.shape[1], axis=1)
-    limit = np.zeros(speeds.shape[1])
-    for k, speed in enumerate(speeds.T):
-        moving = speed[speed > RESTING_SHARE * np.quantile(speed, 0.99)]
-        limit[k] = SLOW_SHARE * np.median(moving) if moving.size else 0.0
-    return limit
-
-
-def ending(rollouts: Rollouts) -> NDArray[np.int64]:
-    """Reached, target out, pursuer out, or neither (time-out, or the recording was cut)."""
-    outcome = rollouts.outcome
-    known = np.where(np.isin(outcome, (TARGET_OUT, PURSUER_OUT)), outcome, NEITHER)
-    return np.where(outcome > 0, REACHED, known).astype(np.int64)
-
-
 def add_metric(metric: Metric) -> None:
     """Have one more metric measured and shown, in this process; its key must be new."""
     if any(metric.key == known.key for known in METRICS):
@@ -407,33 +282,12 @@ def add_metric(metric: Metric) -> None:
     METRICS.append(metric)
 
 
-def path_lengths(rollouts: Rollouts) -> Floats:
-    """Distance travelled by each individual, ``(rollouts, individuals)`` [arena unit]."""
-    step = np.zeros(rollouts.positions.shape[:2])
-    step[1:] = np.linalg.norm(np.diff(rollouts.positions, axis=0), axis=-1)
-    step[rollouts.offsets[:-1]] = 0.0  # no step leads from one episode to the next
-    return np.asarray(np.add.reduceat(step, rollouts.offsets[:-1], axis=0))
-
-
-def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, Floats]:
-    """DTW distance of each individual's whole path to its demonstration's, and pairs of frames.
-
-    Closed at both ends, Euclidean local cost, summed along the best warping path, which aligns so
-    many pairs; ``(rollouts, individuals)`` [arena unit], twice.
-    """
-    distance, pairs = np.empty((2, len(rollouts), len(rollouts.individuals)))
-    for i, demo in enumerate(rollouts.demo.tolist()):
-        path, recorded = rollouts.path(i), demos.path(demo)
-        for k in range(distance.shape[1]):
-            distance[i, k], pairs[i, k] = dtw_alignment(path[:, k], recorded[:, k])
-    return distance, pairs
-
-
 def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
     """One row per rollout, one column per metric of :func:`compared_metrics`.
 
-    Beside them ``method, seed, demo, repetition, condition, cue, outcome, captured``; ``rollouts``
-    are of one method, ``rollouts.demo`` counts the episodes of ``demos``. The DTW distance is that
+    Beside them ``method, seed, demo, repetition, condition, cue, outcome, captured, factual``
+    (whether it may be compared with the recording); ``rollouts`` are of one method,
+    ``rollouts.demo`` counts the episodes of ``demos``. The DTW distance is that
     to the same individual of the demonstration, so zero for the recordings.
 
     Raises InputError if the rollouts are not of these demonstrations.
@@ -445,7 +299,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             f"the rollouts of {rollouts.method} were not made from {demos.name}: "
             "evaluate them against the demonstrations they started from"
         )
-    episodes = MetricInputs(rollouts, demos)
+    episodes = Prepared(demos).episodes(rollouts)
     return pd.DataFrame(
         {
             "method": rollouts.method,
@@ -456,6 +310,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             "cue": rollouts.cue,
             "outcome": rollouts.outcome,
             "captured": rollouts.captured,
+            "factual": rollouts.is_factual(demos),
             **{metric.key: metric.measure(episodes) for metric in compared_metrics(demos)},
         }
     )

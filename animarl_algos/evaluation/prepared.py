@@ -9,25 +9,29 @@ know (the area under the survival curve).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.metrics import MetricInputs, judged_metrics, slow_speeds
 from animarl_algos.evaluation.order_in_time import (
     EpisodeMeasures,
+    angle,
     lags_for,
     median_steps,
     order_measures,
 )
-from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.evaluation.windows import resting_step, smoothed
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
-from animarl_envs.demos.summary import Unit, unit_of
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
+from animarl_envs.demos.summary import RESTING_SHARE, Unit, unit_of
+from animarl_envs.dtw import dtw_alignment
+
+REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
+SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a slow one
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,10 @@ class Prepared:
     def slow(self) -> Floats:
         return slow_speeds(self.recorded)
 
+    def episodes(self, rollouts: Rollouts) -> MeasuredEpisodes:
+        """Return rollouts as metrics are worked out from them."""
+        return MeasuredEpisodes(self, rollouts)
+
     @property
     def unit(self) -> Unit:
         return unit_of(self.demos)
@@ -72,18 +80,7 @@ class Prepared:
 
     def counted(self, rollouts: Rollouts) -> Rollouts:
         """Rollouts in the recorded condition, cut where their recording was, and smoothed."""
-        return self.filtered(censored(factual(rollouts, self.demos), self.demos))
-
-    def measures(self, rollouts: Rollouts) -> dict[str, Floats]:
-        """Every judged metric of every episode, lengths in the recordings' unit."""
-        grid, scale = self.demos.resolution(), self.unit.per_arena_unit
-        reach = 0.0 if grid is None else grid.reach
-        order = partial(self.order, rollouts)
-        episodes = MetricInputs(rollouts, self.demos, self.slow, reach, order)
-        return {
-            metric.key: (scale if metric.is_length else 1.0) * metric.measure(episodes)
-            for metric in judged_metrics(self.demos)
-        }
+        return self.filtered(censored(rollouts.factual(self.demos), self.demos))
 
     def order(self, rollouts: Rollouts) -> EpisodeMeasures:
         """Order in time, reactions and places of every episode."""
@@ -93,11 +90,125 @@ class Prepared:
         return self._orders[rollouts]
 
 
-def factual(rollouts: Rollouts, recorded: Demonstrations) -> Rollouts:
-    """Those in the world's recorded condition, told it or nothing."""
-    same = rollouts.condition == recorded.condition[rollouts.demo]
-    told = (rollouts.cue == NO_CUE) | (rollouts.cue == rollouts.condition)
-    return rollouts.select(same & told)
+@dataclass(frozen=True, eq=False)
+class MeasuredEpisodes:
+    """What metrics are worked out from: rollouts beside the recordings that they started from.
+
+    ``rollouts.demo`` counts the episodes of ``prepared.demos``.
+    """
+
+    prepared: Prepared
+    rollouts: Rollouts
+
+    @property
+    def order(self) -> EpisodeMeasures:
+        """Order in time, reactions and places, at the lags of the demonstrations."""
+        return self.prepared.order(self.rollouts)
+
+    @cached_property
+    def dtw(self) -> Floats:
+        """``(2, rollouts)``: DTW distance of those who move by themselves, and the same per step.
+
+        Means over individuals, of whole paths and of the distance of aligned positions [arena
+        unit].
+        """
+        distance, pairs = dtw_alignments(self.rollouts, self.prepared.demos)
+        return np.stack([self._mean_over_movers(each) for each in (distance, distance / pairs)])
+
+    @property
+    def path_length(self) -> Floats:
+        """``(rollouts,)``: mean over those who move by themselves [arena unit]."""
+        return self._mean_over_movers(path_lengths(self.rollouts))
+
+    @property
+    def duration(self) -> Floats:
+        """``(rollouts,)`` [s]."""
+        return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
+
+    @cached_property
+    def ending(self) -> NDArray[np.int64]:
+        """``(rollouts,)``: reached, target out, pursuer out, or neither."""
+        return ending(self.rollouts)
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        """``(rollouts,)``, whether somebody was outside the arena, or left it.
+
+        Who is outside by no more than positions are rounded by may have been rounded there.
+        """
+        demos = self.prepared.demos
+        grid = demos.resolution()
+        margin = 0.0 if grid is None else grid.reach
+        inside = demos.arena.contains(self.rollouts.positions, margin=margin)
+        ever = np.logical_or.reduceat(~inside.all(axis=1), self.rollouts.offsets[:-1])
+        return np.asarray(ever | np.isin(self.ending, (TARGET_OUT, PURSUER_OUT)))
+
+    @cached_property
+    def motion(self) -> Floats:
+        """``(4, rollouts)``, means over individuals.
+
+        Mean and median speed of single steps [arena unit / s], share of slow steps, and the angle
+        between successive steps summed over an episode, divided by its duration [rad/s].
+        """
+        rollouts, slow = self.rollouts, self.prepared.slow
+        found = np.zeros((4, len(rollouts)))
+        for i in range(len(rollouts)):
+            moved = np.diff(rollouts.path(i), axis=0)
+            if len(moved) == 0:
+                continue
+            speed = np.linalg.norm(moved, axis=-1) / rollouts.dt
+            turned = np.abs(angle(moved[:-1], moved[1:])).sum(axis=0).mean()
+            median = np.median(speed, axis=0).mean()
+            found[:, i] = speed.mean(), median, (speed < slow).mean(), turned / self.duration[i]
+        return found
+
+    def _mean_over_movers(self, values: Floats) -> Floats:
+        return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
+
+
+def slow_speeds(recorded: Rollouts) -> Floats:
+    """Return the speed below which each individual is slow, ``(individuals,)`` [arena unit / s].
+
+    It is a quarter of the median speed of those recorded steps in which it moves at all, faster
+    than 5 % of its 99th percentile.
+    """
+    speeds = recorded.speeds()
+    if recorded.is_group:  # animals of a group are alike
+        speeds = np.repeat(speeds.reshape(-1, 1), speeds.shape[1], axis=1)
+    limit = np.zeros(speeds.shape[1])
+    for k, speed in enumerate(speeds.T):
+        moving = speed[speed > RESTING_SHARE * np.quantile(speed, 0.99)]
+        limit[k] = SLOW_SHARE * np.median(moving) if moving.size else 0.0
+    return limit
+
+
+def ending(rollouts: Rollouts) -> NDArray[np.int64]:
+    """Reached, target out, pursuer out, or neither (time-out, or the recording was cut)."""
+    outcome = rollouts.outcome
+    known = np.where(np.isin(outcome, (TARGET_OUT, PURSUER_OUT)), outcome, NEITHER)
+    return np.where(outcome > 0, REACHED, known).astype(np.int64)
+
+
+def path_lengths(rollouts: Rollouts) -> Floats:
+    """Distance travelled by each individual, ``(rollouts, individuals)`` [arena unit]."""
+    step = np.zeros(rollouts.positions.shape[:2])
+    step[1:] = np.linalg.norm(np.diff(rollouts.positions, axis=0), axis=-1)
+    step[rollouts.offsets[:-1]] = 0.0  # no step leads from one episode to the next
+    return np.asarray(np.add.reduceat(step, rollouts.offsets[:-1], axis=0))
+
+
+def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, Floats]:
+    """DTW distance of each individual's whole path to its demonstration's, and pairs of frames.
+
+    Closed at both ends, Euclidean local cost, summed along the best warping path, which aligns so
+    many pairs; ``(rollouts, individuals)`` [arena unit], twice.
+    """
+    distance, pairs = np.empty((2, len(rollouts), len(rollouts.individuals)))
+    for i, demo in enumerate(rollouts.demo.tolist()):
+        path, recorded = rollouts.path(i), demos.path(demo)
+        for k in range(distance.shape[1]):
+            distance[i, k], pairs[i, k] = dtw_alignment(path[:, k], recorded[:, k])
+    return distance, pairs
 
 
 def censored(rollouts: Rollouts, recorded: Demonstrations | Rollouts) -> Rollouts:

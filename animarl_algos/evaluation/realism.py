@@ -10,8 +10,8 @@ Beside it stand the score of the recording itself (ceiling), of others, and of r
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +27,13 @@ from animarl_algos.evaluation.order_in_time import (
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
+    Draws,
     Floats,
     Interval,
     Ints,
-    percentile_interval,
-    put_intervals,
+    bootstrap_mean,
+    cells,
+    row_of,
 )
 from animarl_envs.demos.episode import UNFINISHED
 
@@ -52,7 +54,6 @@ others keep their proportions; components of a kind weigh alike."""
 BINS = 10
 PSEUDO_COUNT = 0.1  # added to every bin, as the challenge does
 LIMITS = (0.005, 0.995)  # quantiles of the recordings between which bins lie
-RESAMPLES = 1000
 CEILING, OTHERS, RANDOM = REFERENCES = "ceiling", "other recordings", "random actions"
 
 
@@ -138,7 +139,7 @@ def realism(
 ) -> pd.DataFrame:
     """Score rollouts by the likelihood of the recordings that they started from.
 
-    One row per component, per kind and, last, the total: ``component, kind, weight``, the ``score``
+    One row per component, per kind and, last, the total: ``component, kind, weight``, the ``value``
     with its 95 % interval over recordings and, where they were asked for, the scores of
     ``ceiling``, ``other recordings`` and ``random actions``. Rows of kinds and the total have an
     empty ``component``. Scores rise with the number of rollouts a start.
@@ -176,6 +177,7 @@ def realism(
     names, kinds = likelihood.names, likelihood.kinds
     weights = _weights(kinds, columns["score"])
     group = np.unique(recording[starts], return_inverse=True)[1]
+    draws = Draws.by(rng)
     levels = [(name, kinds[i], np.arange(len(kinds)) == i) for i, name in enumerate(names)]
     levels += [("", kind, kinds == kind) for kind in WEIGHTS if (kinds == kind).any()]
     levels.append(("", "total", np.ones(len(kinds), dtype=bool)))
@@ -184,9 +186,8 @@ def realism(
         if not weights[members].sum() > 0:
             continue
         means = {key: _weighted(each[members], weights[members]) for key, each in columns.items()}
-        row: dict[str, Any] = {"component": name, "kind": kind}
-        row["weight"] = float(weights[members].sum())
-        put_intervals(row, score=_over_groups(means.pop("score"), group, rng))
+        score_of = _over_groups(means.pop("score"), group, draws)
+        row = row_of(score_of, component=name, kind=kind, weight=float(weights[members].sum()))
         rows.append(row | {key: float(np.nanmean(each)) for key, each in means.items()})
     return pd.DataFrame(rows)
 
@@ -323,14 +324,8 @@ def _weighted(scores: Floats, weights: Floats) -> Floats:
     return np.asarray((weights[:, None] * filled).sum(axis=0) / np.where(total, total, np.nan))
 
 
-def _over_groups(scores: Floats, group: Ints, rng: np.random.Generator) -> Interval:
-    """Mean over starts, its interval over resampled recordings."""
-    known = np.isfinite(scores)
-    names, member = np.unique(group[known], return_inverse=True)
-    sums = np.bincount(member, scores[known], minlength=len(names))
-    sizes = np.bincount(member, minlength=len(names))
-    estimate = float(sums.sum() / sizes.sum())
-    if len(names) < 2:
-        return Interval(estimate)
-    drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=RESAMPLES)
-    return percentile_interval(estimate, (drawn @ sums) / (drawn @ sizes))
+def _over_groups(scores: Floats, group: Ints, draws: Draws) -> Interval:
+    """Mean over starts, its interval over recordings, between 0 and 1."""
+    data = cells(scores, np.zeros(len(scores)), group, int(group.max()) + 1)
+    found = bootstrap_mean(data, draws)
+    return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))

@@ -94,6 +94,15 @@ class Rollouts(Episodes):
         paths = [self.path(i).tobytes() for i in range(len(self))]
         return copies(self.demo.tolist(), self.seed.tolist(), paths)
 
+    def is_factual(self, recorded: Demonstrations) -> NDArray[np.bool_]:
+        """Whether the world is in the recorded condition, and the policy was told so or nothing."""
+        same = self.condition == recorded.condition[self.demo]
+        return np.asarray(same & ((self.cue == NO_CUE) | (self.cue == self.condition)))
+
+    def factual(self, recorded: Demonstrations) -> Rollouts:
+        """Those that may be compared with the recordings."""
+        return self.select(self.is_factual(recorded))
+
     @property
     def movers(self) -> NDArray[np.int64]:
         """Individuals whose paths are measured: pursuers, or the searcher."""

@@ -50,23 +50,18 @@ class Interval:
 UNDEFINED = Interval(math.nan)
 
 
-def interval(row: Any, key: str) -> Interval:
-    """The interval that a table row holds under ``key``, ``key_low`` and ``key_high``."""
-    return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
-
-
-def told_by(row: Any) -> Interval:
-    """The value that a row of a verdict or of a leaderboard is about."""
+def interval(row: Any) -> Interval:
+    """Return the value that a row of a table is about."""
     return Interval(float(row["value"]), float(row["low"]), float(row["high"]), row["reason"])
 
 
-def put_intervals(row: dict[str, Any], **values: Interval) -> None:
-    """Put what :func:`interval` reads into a row, and why it is undefined into its ``reason``."""
-    for key, value in values.items():
-        row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}
-        if value.reason:
-            told = [row["reason"]] if row.get("reason") else []
-            row["reason"] = "; ".join([*told, f"{key}: {value.reason}"])
+def row_of(value: Interval, **columns: Any) -> dict[str, Any]:
+    """Return a row of a table: what it is about, its value with its interval, or why there is none.
+
+    All tables of an evaluation name these so: ``value``, ``low``, ``high``, ``reason``.
+    """
+    ends = {"value": value.estimate, "low": value.low, "high": value.high}
+    return columns | ends | {"reason": value.reason}
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,10 +22,10 @@ from animarl_algos.evaluation.classifier import (
     AUC,
     SEQUENCE,
     Tracked,
-    judge_sequences,
-    judge_windows,
+    judges,
     read_beside,
 )
+from animarl_algos.evaluation.metrics import measures
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -38,7 +38,6 @@ from animarl_algos.evaluation.statistics import (
     energy_scores,
     interval,
     single_cells,
-    told_by,
 )
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
@@ -95,8 +94,6 @@ class Verdict:
         The realism score, see :func:`~animarl_algos.evaluation.realism.realism`.
     importance
         By kind of feature, how much of the area rests on it.
-    parts
-        Whether parts of demonstrations were dealt to the folds, for lack of demonstrations.
     """
 
     table: pd.DataFrame
@@ -109,7 +106,6 @@ class Verdict:
     areas: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
     components: pd.DataFrame | None = None
     importance: Mapping[str, float]
-    parts: bool = False
 
     @property
     def overall(self) -> str:
@@ -124,20 +120,15 @@ class Verdict:
         found = set(self.table["judgement"])
         return next(one for one in (DIFFERS, UNKNOWN, BY_LITTLE, SAME) if one in found)
 
-    def area(self, judge: str) -> Interval:
-        """Return the area under the ROC curve of a judge: ``AUC`` or ``SEQUENCE``."""
-        known = judge in set(self.table["measure"])
-        return told_by(self.row(judge)) if known else UNDEFINED
-
     @property
     def auc(self) -> Interval:
         """The classifier's area on two seconds."""
-        return self.area(AUC)
+        return interval(self.row(AUC))
 
     @property
     def realism(self) -> Interval:
         """The realism score."""
-        return UNDEFINED if self.components is None else interval(self.components.iloc[-1], "score")
+        return UNDEFINED if self.components is None else interval(self.components.iloc[-1])
 
     @property
     def realism_beside(self) -> dict[str, float]:
@@ -242,11 +233,8 @@ def is_green(recorded: Demonstrations, rollouts: Rollouts, *, seed: int) -> bool
     prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed, None)
     if tests.differs:
         return False
-    windows, _ = judge_windows(prepared, counted, {}, None, streams[1:3], alone=True)
-    if windows.row().judgement != SAME:
-        return False
-    sequences = judge_sequences(prepared, counted, {}, unit, streams[4], alone=True)
-    return sequences.row().judgement == SAME
+    asked = judges(prepared, counted, {}, None, unit, (*streams[1:3], streams[4]), alone=True)
+    return all(judge.row().judgement == SAME for judge in asked)
 
 
 def verdict(
@@ -292,9 +280,8 @@ def verdict(
     unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None
     rows = verdict_rows(prepared, counted, tests, streams[0], unseeing)
     beside = read_beside(prepared, floor, baselines)
-    windows, parts = judge_windows(prepared, counted, beside, references, streams[1:3])
-    sequences = judge_sequences(prepared, counted, beside, unit, streams[4])
-    rows += [windows.row(), sequences.row()]
+    asked = [*judges(prepared, counted, beside, references, unit, (*streams[1:3], streams[4]))]
+    rows += [judge.row() for judge in asked]
     others = None
     if references is not None:
         others = prepared.filtered(Rollouts.from_demonstrations(references))
@@ -315,10 +302,9 @@ def verdict(
         rollouts=int(np.count_nonzero(~counted.copies)),
         too_little=_too_little(len(starts), len(np.unique(recorded.recording[starts]))),
         smoothing=prepared.smoothing,
-        areas={judge.key: dict(judge.areas) for judge in (windows, sequences)},
+        areas={judge.key: dict(judge.areas) for judge in asked},
         components=components,
-        importance=windows.simulated.importance,
-        parts=parts,
+        importance=asked[0].simulated.importance,
     )
 
 
@@ -346,7 +332,7 @@ def _too_little(starts: int, recordings: int) -> str:
 
 def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
     """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
-    true, found = prepared.measures(prepared.recorded), prepared.measures(rollouts)
+    true, found = (measures(prepared, side) for side in (prepared.recorded, rollouts))
     return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
 
 

@@ -23,7 +23,7 @@ from animarl_algos.evaluation.exchange_test import (
     exchange_test,
     least_p,
 )
-from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, ending, judged_metrics
+from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, judged_metrics, measures
 from animarl_algos.evaluation.order_in_time import (
     INTERACTIVE,
     KINEMATIC,
@@ -32,7 +32,13 @@ from animarl_algos.evaluation.order_in_time import (
     EpisodeMeasures,
     Measure,
 )
-from animarl_algos.evaluation.prepared import Prepared, has_ended, log_rank_scores, mean_survival
+from animarl_algos.evaluation.prepared import (
+    Prepared,
+    ending,
+    has_ended,
+    log_rank_scores,
+    mean_survival,
+)
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     Floats,
@@ -108,7 +114,7 @@ def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
     Metrics, the spread of those that have one (both without a kind), and order in time.
     """
     sides = (prepared.recorded, counted)
-    true, simulated = (prepared.measures(side) for side in sides)
+    true, simulated = (measures(prepared, side) for side in sides)
     names, columns = [], []
     alone = np.concatenate([np.ones(len(sides[0]), dtype=bool), ~counted.copies])
     metrics = judged_metrics(prepared.demos)
@@ -125,8 +131,8 @@ def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
     own = {metric.of_order for metric in metrics}  # these have rows of their own
     rest = [i for i, name in enumerate(order.names) if name not in own]
     later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
-    measures = *(Measure(name, "") for name in names), *(order.measures[i] for i in rest)
-    return EpisodeMeasures(measures, np.concatenate([np.stack(columns, axis=1), later], axis=1))
+    tested = *(Measure(name, "") for name in names), *(order.measures[i] for i in rest)
+    return EpisodeMeasures(tested, np.concatenate([np.stack(columns, axis=1), later], axis=1))
 
 
 @dataclass(frozen=True)
@@ -172,7 +178,7 @@ def verdict_rows(
     columns, test = tests.columns, tests.test
     can_end = _can_end(prepared, counted)
     rows = [_endings_row(tests, np.unique(counted.demo))] if can_end else []
-    controls = _strangers(prepared), {} if blind is None else prepared.measures(blind)
+    controls = _strangers(prepared), {} if blind is None else measures(prepared, blind)
     rows += _metric_rows(prepared, counted, tuple(columns.names), test, rng, controls)
     found = [kind for kind in KINDS if kind in columns.kinds]
     return rows + [_kind_row(kind, columns, test, prepared.unit) for kind in found]
@@ -211,7 +217,7 @@ def _metric_rows(
     controls: tuple[Mapping[str, Floats], Mapping[str, Floats]],
 ) -> Iterator[Row]:
     starts = np.unique(counted.demo)
-    true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
+    true, simulated = (measures(prepared, side) for side in (prepared.recorded, counted))
     endless, (alone, blind) = not _can_end(prepared, counted), controls
     for metric in judged_metrics(prepared.demos):
         a, b = true[metric.key], simulated[metric.key]
@@ -285,20 +291,20 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit
     if not np.isfinite(size).any():
         return Row(measure=kind, label=KINDS[kind])
     worst = int(members[np.nanargmax(size)])
-    measures, name = columns.measures, columns.names[worst]
-    scale = own.per_arena_unit if measures[worst].unit.startswith("arena units") else 1.0
-    unit = measures[worst].unit.replace("arena units", own.name)
+    known, name = columns.measures, columns.names[worst]
+    scale = own.per_arena_unit if known[worst].unit.startswith("arena units") else 1.0
+    unit = known[worst].unit.replace("arena units", own.name)
     recorded, simulated = scale * float(test.recorded[worst]), scale * float(test.simulated[worst])
     judgement = words = SAME
     differing = members[test.differs[members]]
     if len(differing):
         order = differing[np.argsort(-np.abs(test.statistic[differing]))]
-        told = [measures[i].words(bool(test.simulated[i] > test.recorded[i])) for i in order]
+        told = [known[i].words(bool(test.simulated[i] > test.recorded[i])) for i in order]
         words, *more = dict.fromkeys(told)
         figures = f"{name}: {simulated:.2g}, recorded {recorded:.2g} {unit}"
         words = f"{words} ({figures.rstrip()})"
         words = ", ".join([words, *more[: MOST_PHRASES - 1]])
-        least = [0.0 if measures[i].unit else LITTLE_SHARE for i in differing]
+        least = [0.0 if known[i].unit else LITTLE_SHARE for i in differing]
         allowed = np.maximum(LITTLE * np.abs(test.recorded[differing]), least)
         gaps = np.abs(test.simulated[differing] - test.recorded[differing])
         judgement = DIFFERS if (gaps > allowed).any() else BY_LITTLE
@@ -347,7 +353,7 @@ def _strangers(prepared: Prepared) -> Mapping[str, Floats]:
         paths.append(np.stack([path[:shortest] for path in each], axis=1))
     lengths = np.array([len(path) for path in paths])
     mixed = replace(recorded, positions=np.concatenate(paths), lengths=lengths)
-    return prepared.measures(mixed)
+    return measures(prepared, mixed)
 
 
 def _known_mean(values: Floats) -> float:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from animarl_algos.evaluation import effects as effects_of
+from animarl_algos.evaluation.comparison import COUNTING
+from animarl_algos.evaluation.effects import Asked, Effects
 from animarl_algos.evaluation.metrics import PATH_LENGTH
-from animarl_algos.evaluation.rollouts import RECORDED
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
+from animarl_algos.evaluation.statistics import Interval, cells
 from animarl_algos.report import figures, style
-from animarl_algos.report.inputs import CounterfactualInputs, PageInputs
+from animarl_algos.report.inputs import PageInputs
 from animarl_algos.report.page import (
     Block,
     Gallery,
@@ -22,13 +27,21 @@ from animarl_algos.report.page import (
     Text,
     tabulate,
 )
-from animarl_algos.report.player import shift_player
+from animarl_algos.report.player import (
+    STARTS,
+    Player,
+    Scene,
+    at_ranks,
+    middles,
+    of_starts,
+    play,
+    track,
+    view,
+)
 from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import Image, method_label, to_image
-from animarl_algos.report.words import MINUS, pick, scaled, with_interval
-
-if TYPE_CHECKING:
-    import pandas as pd
+from animarl_algos.report.words import MINUS, capitalised, pick, scaled, with_interval
+from animarl_envs.species import Species
 
 SHIFTS = {
     "Predicted": effects_of.PREDICTED,
@@ -38,7 +51,34 @@ SHIFTS = {
     "Flag\nzeroed": effects_of.BLIND,
 }
 NULLS = (effects_of.UNTRAINED_SHIFT, effects_of.BLIND)
-COUNTED = {"all": "All episodes", "captures": "Captures only, starts that both reach"}
+FACTUAL, FLIPPED, TEAM = "factual", "flipped", "team"
+TOLD_OTHER = "told the other condition"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CounterfactualInputs(PageInputs):
+    """Everything that the page of a counterfactual shows.
+
+    ``teams`` are what the teams of condition 0 and of condition 1 do; ``seeds`` the training seeds
+    by method.
+    """
+
+    species: Species
+    asked: Mapping[str, Asked]
+    teams: tuple[Rollouts, Rollouts] | None
+    effects: Effects
+    seeds: Mapping[str, tuple[int, ...]]
+
+    @property
+    def unit(self) -> str:
+        return self.words.unit_of(PATH_LENGTH)
+
+    def value(self, method: str, quantity: str, of: int, counting: str = "all") -> Interval:
+        """Return a quantity from starts of condition ``of``; undefined if there is none."""
+        row = pick(
+            self.effects.table, method=method, quantity=quantity, condition=of, counting=counting
+        )
+        return self.words.interval(row, PATH_LENGTH)
 
 
 def counterfactual_page(inputs: CounterfactualInputs) -> Page:
@@ -59,7 +99,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> Page:
             ("Evaluated on", f"{demos.num_episodes} demonstrations"),
             *seeds,
         ],
-        player=shift_player(inputs),
+        player=_player(inputs),
         sections=[
             Section("findings", "In short", [block for block in said if block.sentences]),
             Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
@@ -133,19 +173,17 @@ def _shifts(inputs: CounterfactualInputs) -> Iterator[Block]:
         f"Shift of the mean path length ({inputs.unit}) with 95 % interval, all episodes; grey: "
         "where nothing of the condition was learned.",
     )
+    yield _shift_table(inputs)
 
-    yield shift_table(inputs, inputs.effects.table)
 
-
-def shift_table(inputs: PageInputs, table: pd.DataFrame) -> Table:
-    """Return predicted shifts beside their truth and their nulls, as far as they are known."""
-    predicted = table[(table["quantity"] == effects_of.PREDICTED) & table["value"].notna()]
-    known = set(table.loc[table["value"].notna(), "quantity"])
+def _shift_table(inputs: CounterfactualInputs) -> Table:
+    """Predicted shifts beside their truth and their nulls, as far as they are known."""
+    known = inputs.effects.table.dropna(subset="value")
+    predicted = known[known["quantity"] == effects_of.PREDICTED]
 
     def shift(quantity: str) -> Any:
-        keys = ("method", "condition", "counting")
-        return lambda row: inputs.words.told(
-            pick(table, quantity=quantity, **{key: row[key] for key in keys}), "value", PATH_LENGTH
+        return lambda row: with_interval(
+            inputs.value(row["method"], quantity, row["condition"], row["counting"])
         )
 
     return tabulate(
@@ -153,23 +191,23 @@ def shift_table(inputs: PageInputs, table: pd.DataFrame) -> Table:
         {
             "Method": lambda row: method_label(row["method"]),
             "Variant": lambda row: str(row["variant"]),
-            "Flip": lambda row: inputs.flip(int(row["condition"]), 1 - int(row["condition"])),
-            **{title: shift(one) for title, one in SHIFTS.items() if one in known},
+            "Flip": lambda row: inputs.flip(row["condition"], row["told"]),
+            **{title: shift(one) for title, one in SHIFTS.items() if one in set(known["quantity"])},
         },
-        counted(predicted),
-        f"Mean path length ({inputs.words.unit_of(PATH_LENGTH)}) with the flipped cue minus that "
+        [
+            (
+                capitalised(title),
+                [row for _, row in predicted.query(f"counting == '{rule}'").iterrows()],
+            )
+            for rule, title in COUNTING.items()
+        ],
+        f"Mean path length ({inputs.unit}) with the flipped cue minus that "
         "with the true one, [95 % interval]; bold: the flip that was planned in advance. Among "
         "captures only starts in which both answers reached the target count, so that they are "
         "paired.",
         left=3,
         strong=lambda row: bool(row["planned"]),
     )
-
-
-def counted(table: pd.DataFrame) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the rows of all episodes and of captures, with a title."""
-    for counting, title in COUNTED.items():
-        yield title, [row for _, row in table[table["counting"] == counting].iterrows()]
 
 
 def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
@@ -192,3 +230,43 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
                 colours=colours,
             )  # fmt: skip
             yield to_image(figure, f"Predicted and true shifts of the path length, {flip}")
+
+
+# -- the player -----------------------------------------------------------------------------------
+
+
+def _player(inputs: CounterfactualInputs) -> Player:
+    """Play the first method: factual beside flipped, flipped beside the truth and the recording."""
+    name = method_label(next(iter(inputs.asked)))
+    factual = f"{name}, factual"
+    views = [view("flipped", factual, FACTUAL, TOLD_OTHER, FLIPPED)]
+    if inputs.teams is not None:
+        team = "team of the other condition"
+        views.append(view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
+    views.append(view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
+    scenes = list(_scenes(inputs))
+    chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
+    return play(inputs, scenes, views, of_starts(len(scenes), chosen))
+
+
+def _scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:
+    """Starts by how much longer paths get when the first method is told the other condition."""
+    trained, demos = next(iter(inputs.asked.values())).trained, inputs.demos
+    prepared, number = Prepared(demos), demos.num_episodes
+    before, after = (
+        cells(PATH_LENGTH.measure(prepared.episodes(r)), [0] * len(r), r.demo, number).cell_means[0]
+        for r in trained
+    )
+    present = np.unique(demos.condition).tolist()
+    for condition in present:
+        starts = np.flatnonzero(demos.condition == condition)
+        quantiles = middles(max(1, STARTS // len(present)))
+        for start in starts[at_ranks((after - before)[starts], starts, quantiles)].tolist():
+            of = {RECORDED: prepared.recorded, FACTUAL: trained.factual, FLIPPED: trained.flipped}
+            if inputs.teams is not None:
+                of[TEAM] = inputs.teams[1 - condition]
+            tracks = {
+                kind: track(some, int(np.flatnonzero(some.demo == start)[0]))  # its first rollout
+                for kind, some in of.items()
+            }
+            yield Scene(f"Start {start}, {inputs.condition(condition)}", tracks)

@@ -7,13 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from animarl_algos.evaluation.effects import Asked, Effects
-from animarl_algos.evaluation.metrics import PATH_LENGTH
+from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.path_figures import Stage, contact_drawn
-from animarl_algos.report.words import ARROW, Words, pick
+from animarl_algos.report.words import ARROW, Words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
@@ -114,34 +111,3 @@ class ReportInputs(PageInputs):
                 f"there are no rollouts of {self.learner!r}: choose one of "
                 f"{', '.join(self.rollouts)}"
             )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CounterfactualInputs(PageInputs):
-    """Everything that the page of a counterfactual shows.
-
-    ``teams`` are what the teams of condition 0 and of condition 1 do; ``seeds`` the training seeds
-    by method.
-    """
-
-    species: Species
-    asked: Mapping[str, Asked]
-    teams: tuple[Rollouts, Rollouts] | None
-    effects: Effects
-    seeds: Mapping[str, tuple[int, ...]]
-
-    @property
-    def unit(self) -> str:
-        return self.words.unit_of(PATH_LENGTH)
-
-    @property
-    def planned(self) -> tuple[int, int]:
-        """The flip that was planned in advance; the first, where none was."""
-        return self.species.planned_flip or (0, 1)
-
-    def value(self, method: str, quantity: str, of: int, counting: str = "all") -> Interval:
-        """Return a quantity from starts of condition ``of``; undefined if there is none."""
-        row = pick(
-            self.effects.table, method=method, quantity=quantity, condition=of, counting=counting
-        )
-        return self.words.interval(row, "value", PATH_LENGTH)

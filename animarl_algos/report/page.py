@@ -21,6 +21,8 @@ from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from animarl_algos.report.player import Player
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -106,7 +108,7 @@ Block = Text | Sentences | Gallery | Table | Pairs
 def tabulate(
     label: str,
     columns: Mapping[str, Callable[[Any], str]],
-    groups: Iterable[tuple[str, Iterable[Any]]],
+    groups: Iterable[tuple[str, Iterable[Any] | pd.DataFrame]],
     caption: str,
     *,
     strong: Callable[[Any], bool] = lambda row: False,
@@ -115,15 +117,14 @@ def tabulate(
 ) -> Table:
     """Return a table of things: each column says what it writes of one; empty groups are left out.
 
-    ``strong`` and ``faint`` say of which the row is so; ``options`` are those of :class:`Table`.
+    Of a data frame the things are its rows. ``strong`` and ``faint`` say of which the row is so;
+    ``options`` are those of :class:`Table`.
     """
-    made = [
-        Group(
-            title,
-            [Row([c(one) for c in columns.values()], strong(one), faint(one)) for one in things],
-        )
-        for title, things in groups
-    ]
+    made = []
+    for title, given in groups:
+        things = [row for _, row in given.iterrows()] if hasattr(given, "iterrows") else given
+        rows = [Row([c(one) for c in columns.values()], strong(one), faint(one)) for one in things]
+        made.append(Group(title, rows))
     return Table(label, list(columns), [one for one in made if one.rows], caption, **options)
 
 

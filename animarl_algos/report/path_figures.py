@@ -1,4 +1,4 @@
-"""Figures in the arena: paths from one start, and what a learner values along a path."""
+"""Figures in the arena: paths from one start."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.report import style
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 from animarl_envs.demos.summary import Unit
+from animarl_envs.drawing.render import round_length
 from animarl_envs.focus import is_free
-from animarl_envs.locomotion import NUM_DIRECTIONS
 from animarl_envs.species import Species
 
 if TYPE_CHECKING:
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 View = tuple[float, float, float]
-
-DIRECTIONS = {0: "towards focus", 3: "right", 6: "away", 9: "left"}
-DIVERGING = "RdBu_r"
 
 
 @dataclass(frozen=True)
@@ -161,73 +157,14 @@ def view_of(arena: Arena, recorded: Floats, *others: Floats) -> View:
     return float(x), float(y), float((high - low).max()) / 2 * margin
 
 
-def bar_length(half: float, unit: Unit) -> float:
-    """Return a round length for a scale bar, at most a quarter of the window, in the unit told."""
-    most = half * unit.per_arena_unit / 2
-    power = 10.0 ** np.floor(np.log10(most))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= most))
-
-
 def _scale_bar(panel: Axes, view: View, unit: Unit) -> None:
     """Below the window, so that it covers no path."""
     x, y, half = view
-    length = bar_length(half, unit)
+    length, label = round_length(half * unit.per_arena_unit / 2, unit.name)
     left, below = x - half, y - 1.06 * half
     right = left + length / unit.per_arena_unit
     panel.plot(
         [left, right], [below, below], color=style.TEXT.hex, linewidth=1.4, clip_on=False,
         solid_capstyle="butt",
     )  # fmt: skip
-    panel.text(right + 0.06 * half, below, f"{length:g} {unit.name}", fontsize=7, va="center")
-
-
-# -- values ---------------------------------------------------------------------------------------
-
-
-def action_labels(num_actions: int) -> dict[int, str]:
-    """Return names of actions for an axis: four directions of each thrust magnitude, and coasting.
-
-    With several magnitudes, the number in front counts them from the largest.
-    """
-    thrusts = (num_actions - 1) // NUM_DIRECTIONS
-    labels = {
-        NUM_DIRECTIONS * m + k: name if thrusts == 1 else f"{m + 1}: {name}"
-        for m in range(thrusts)
-        for k, name in DIRECTIONS.items()
-    }
-    return labels | {num_actions - 1: "coast"}
-
-
-def values_along_path(decisions: Decisions, dt: float) -> Figure:
-    """Draw the state value and the advantage of each action along a demonstration.
-
-    Dots are the actions that were found in it; ``dt`` is one decision step [s].
-    """
-    q, known = decisions.q, decisions.actions >= 0
-    time = np.arange(len(q)) * dt
-    with style.figure_style():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(6.6, 3.6), layout="constrained")
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1, 2.2])
-        above.plot(time, q.mean(axis=1), color=style.TARGET.hex, label="mean over actions")
-        above.plot(time, q.max(axis=1), color=style.BLUE.hex, linewidth=1.0, label="best action")
-        above.set(ylabel="Q", title=decisions.individual)
-        above.legend(loc="best", ncols=2)
-        advantage = (q - q.mean(axis=1, keepdims=True)).T
-        reach = float(np.abs(advantage).max()) or 1.0
-        edges = np.append(time, time[-1] + dt) - dt / 2
-        mesh = below.pcolormesh(
-            edges, np.arange(q.shape[1] + 1) - 0.5, advantage, cmap=DIVERGING, vmin=-reach,
-            vmax=reach, rasterized=True,
-        )  # fmt: skip
-        below.plot(
-            time[known], decisions.actions[known], ".", color=style.TARGET.hex, markersize=3.5,
-            markeredgewidth=0,
-        )  # fmt: skip
-        labels = action_labels(q.shape[1])
-        below.set_yticks(list(labels), list(labels.values()))
-        below.invert_yaxis()
-        below.set(xlabel="Time (s)", ylabel="Acceleration")
-        figure.colorbar(mesh, ax=below, label="Advantage", pad=0.01)
-    return figure
+    panel.text(right + 0.06 * half, below, label, fontsize=7, va="center")

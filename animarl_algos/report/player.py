@@ -10,30 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.comparison import factual
-from animarl_algos.evaluation.metrics import DTW, PATH_LENGTH, MetricInputs
+from animarl_algos.evaluation.metrics import DTW
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report import style
-from animarl_algos.report.inputs import (
-    CounterfactualInputs,
-    PageInputs,
-    ReportInputs,
-)
-from animarl_algos.report.path_figures import Stage, bar_length, view_of
+from animarl_algos.report.inputs import PageInputs, ReportInputs
+from animarl_algos.report.path_figures import Stage, view_of
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import capitalised
-from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
+from animarl_envs.demos.summary import outcome_name
+from animarl_envs.drawing.render import round_length
 
 Floats = NDArray[np.float64]
 
 STARTS = 12  # that can be played, over all conditions
 BUDGET = 1_500_000  # characters of packed paths; longer ones are thinned in time, evenly
 LEVELS = 65_535  # of a packed coordinate, across the box that holds the scene
-RECORDED, SIMULATED, FACTUAL, FLIPPED, TEAM = (
-    "recorded", "simulated", "factual", "flipped", "team"
-)  # fmt: skip
-TOLD_OTHER = "told the other condition"
-ENDINGS = {TARGET_OUT: "target left", PURSUER_OUT: "pursuer left"}
+RECORDED, SIMULATED = "recorded", "simulated"
 
 
 class Track(NamedTuple):
@@ -71,21 +63,7 @@ def run_player(inputs: ReportInputs) -> Player:
     learner = method_label(inputs.learner)
     views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
     chosen_by = "from rollouts near their recording to far from it (DTW distance)"
-    return play(inputs, scenes, views, _of_starts(len(scenes), chosen_by))
-
-
-def shift_player(inputs: CounterfactualInputs) -> Player:
-    """Play the first method: factual beside flipped, flipped beside the truth and the recording."""
-    name = method_label(next(iter(inputs.asked)))
-    factual = f"{name}, factual"
-    views = [view("flipped", factual, FACTUAL, TOLD_OTHER, FLIPPED)]
-    if inputs.teams is not None:
-        team = "team of the other condition"
-        views.append(view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
-    views.append(view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
-    scenes = list(_shift_scenes(inputs))
-    chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
-    return play(inputs, scenes, views, _of_starts(len(scenes), chosen))
+    return play(inputs, scenes, views, of_starts(len(scenes), chosen_by))
 
 
 def play(
@@ -140,12 +118,7 @@ def _world(stage: Stage) -> dict[str, Any]:
 
 def track(rollouts: Rollouts, i: int) -> Track:
     """Return an episode, and its ending in words."""
-    outcome = int(rollouts.outcome[i])
-    if not rollouts.has_goal:
-        return Track(rollouts.path(i), "an animal left" if outcome == PURSUER_OUT else "over")
-    goal = "source" if "searcher" in rollouts.roles else "target"
-    reached = f"{goal} reached" if outcome > 0 else f"{goal} not reached"
-    return Track(rollouts.path(i), ENDINGS.get(outcome, reached))
+    return Track(rollouts.path(i), outcome_name(int(rollouts.outcome[i]), rollouts))
 
 
 def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
@@ -156,7 +129,7 @@ def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
     moved = [t.path for kind, t in scene.tracks.items() if kind != RECORDED]
     shown = view_of(stage.arena, scene.tracks[RECORDED].path, *moved)
     unit = stage.words.unit
-    length = bar_length(shown[2], unit)
+    length, label = round_length(shown[2] * unit.per_arena_unit / 2, unit.name)
 
     def pack(path: Floats) -> str:
         levels = np.round((path[::stride] - low) / span * LEVELS).astype("<u2")
@@ -165,7 +138,7 @@ def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
     return {
         "title": scene.title,
         "view": [round(v, 6) for v in shown],
-        "bar": {"length": length / unit.per_arena_unit, "label": f"{length:g} {unit.name}"},
+        "bar": {"length": length / unit.per_arena_unit, "label": label},
         "box": [float(low[0]), float(low[1]), span / LEVELS],
         "tracks": {
             kind: {"path": pack(track.path), "ending": track.ending}
@@ -174,7 +147,8 @@ def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
     }
 
 
-def _of_starts(count: int, chosen: str) -> str:
+def of_starts(count: int, chosen: str) -> str:
+    """Return what is said of so many scenes, and how they were chosen."""
     return f"{count} test starts, all different, {chosen}."
 
 
@@ -216,13 +190,9 @@ def middles(count: int) -> list[float]:
 
 def factual_rollouts(inputs: ReportInputs) -> tuple[Rollouts, Floats]:
     """Return the rollouts of the learner that the tables compare, and their DTW distances."""
-    rollouts = inputs.rollouts[inputs.learner]
-    rows = inputs.evaluation.metrics
-    first = int(np.flatnonzero(rows["method"] == inputs.learner)[0])
-    compared = factual(rows)
-    compared = compared[compared["method"] == inputs.learner]
-    chosen = compared.index.to_numpy() - first  # rows stand in the order of the rollouts
-    return rollouts.select(chosen), compared[DTW.key].to_numpy(dtype=np.float64)
+    rows = inputs.evaluation.metrics  # in the order of the rollouts
+    distances = rows.loc[(rows["method"] == inputs.learner) & rows["factual"], DTW.key]
+    return inputs.rollouts[inputs.learner].factual(inputs.demos), distances.to_numpy(np.float64)
 
 
 def examples(inputs: ReportInputs, quantiles: Sequence[float]) -> Iterator[tuple[str, list[int]]]:
@@ -236,43 +206,3 @@ def examples(inputs: ReportInputs, quantiles: Sequence[float]) -> Iterator[tuple
         among = np.flatnonzero(rollouts.condition == condition)
         ranked = at_ranks(dtw[among], rollouts.demo[among], quantiles)
         yield inputs.condition(condition) if len(present) > 1 else "", among[ranked].tolist()
-
-
-def _shift_scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:
-    trained = next(iter(inputs.asked.values())).trained
-    recorded = Rollouts.from_demonstrations(inputs.demos)
-    present = np.unique(inputs.demos.condition).tolist()
-    for condition in present:
-        for start in changed_starts(inputs, condition, middles(max(1, STARTS // len(present)))):
-            tracks = {
-                RECORDED: track(recorded, start),
-                FACTUAL: track(trained.factual, first_from(trained.factual, start)),
-                FLIPPED: track(trained.flipped, first_from(trained.flipped, start)),
-            }
-            if inputs.teams is not None:
-                team = inputs.teams[1 - condition]
-                tracks[TEAM] = track(team, first_from(team, start))
-            yield Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
-
-
-def changed_starts(
-    inputs: CounterfactualInputs, condition: int, quantiles: Sequence[float]
-) -> list[int]:
-    """Return starts of a condition by how much longer paths get when the first method is told so.
-
-    Means over seeds and rollouts, at quantiles over starts.
-    """
-    trained, number = next(iter(inputs.asked.values())).trained, inputs.demos.num_episodes
-    means = []
-    for rollouts in (trained.factual, trained.flipped):
-        lengths = PATH_LENGTH.measure(MetricInputs(rollouts, inputs.demos))
-        sums = np.bincount(rollouts.demo, weights=lengths, minlength=number)
-        means.append(sums / np.bincount(rollouts.demo, minlength=number))
-    starts = np.flatnonzero(inputs.demos.condition == condition)
-    ranked = at_ranks((means[1] - means[0])[starts], starts, quantiles)
-    return [int(start) for start in starts[ranked]]
-
-
-def first_from(rollouts: Rollouts, start: int) -> int:
-    """Return the first rollout from a start: of the first seed, the first repetition."""
-    return int(np.flatnonzero(rollouts.demo == start)[0])

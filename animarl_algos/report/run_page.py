@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import COUNTING, factual
+from animarl_algos.evaluation.comparison import COUNTING
 from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
@@ -30,8 +30,7 @@ from animarl_algos.report.path_figures import path_panels
 from animarl_algos.report.player import examples, factual_rollouts, run_player
 from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import Image, method_label, to_image
-from animarl_algos.report.terminal import comparison_as_table
-from animarl_algos.report.verdict_section import verdict_blocks, verdict_lead
+from animarl_algos.report.verdict_section import comparison_as_table, verdict_blocks, verdict_lead
 from animarl_algos.report.words import (
     NOTHING,
     cautions,
@@ -175,7 +174,7 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
             * inputs.demos.has_goal
         )
     )
-    measured = set(evaluation.comparison["metric"])
+    measured = set(evaluation.comparison["measure"])
     for metric in (m for m in METRICS if m.caption and m.key in measured):
         yield Text.heading(metric.label)
         yield Gallery(list(_metric_images(inputs, metric)), say(metric.caption))
@@ -189,11 +188,11 @@ def _metric_images(inputs: ReportInputs, metric: Metric) -> Iterator[Image]:
     """All episodes and captures side by side; of a share a single panel of means."""
     words, comparison = inputs.words, inputs.evaluation.comparison
     names = [RECORDED, *inputs.rollouts] if metric.of_recordings else list(inputs.rollouts)
-    rows = factual(inputs.evaluation.metrics)
+    rows = inputs.evaluation.metrics.query("factual")
 
     def mean(name: str, counting: str) -> Interval:
-        row = pick(comparison, method=name, metric=metric.key, counting=counting)
-        value = words.interval(row, "mean", metric)
+        row = pick(comparison, method=name, measure=metric.key, counting=counting)
+        value = words.interval(row, metric)
         return scaled(value, 100.0) if metric.share else value
 
     for counting, title in countings(comparison).items():

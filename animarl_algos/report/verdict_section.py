@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, FEWEST_DEMOS, SEQUENCE
+from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
+from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.realism import REFERENCES
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval, told_by
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
@@ -21,10 +24,14 @@ from animarl_algos.evaluation.verdict_rows import (
     UNKNOWN,
 )
 from animarl_algos.evaluation.windows import WINDOW
-from animarl_algos.report import figures
-from animarl_algos.report.page import Block, Gallery, Lead, Table, tabulate
-from animarl_algos.report.style import Image, method_label, to_image
-from animarl_algos.report.words import NOTHING, Words, capitalised, number, with_interval
+from animarl_algos.report.page import Block, Lead, Row, Table, tabulate
+from animarl_algos.report.style import method_label
+from animarl_algos.report.words import NOTHING, Words, capitalised, number, pick, with_interval
+from animarl_envs.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from rich.table import Table as TerminalTable
+
 
 SIGNS = {
     SAME: ("green", "\u2248"), BY_LITTLE: ("amber", "~"), DIFFERS: ("red", "\u2260"),
@@ -101,7 +108,7 @@ def _differences(verdict: Verdict) -> Iterator[str]:
 def _evidence(row: Any) -> str:
     """The difference with its interval; where it might be none, also the distance and its null."""
     scale, unit = _scale(row)
-    gap = told_by(row)
+    gap = interval(row)
     points = "percentage points" if unit == "%" else unit
     parts = []
     if math.isfinite(gap.estimate):
@@ -126,10 +133,8 @@ def _asked(row: Any) -> str:
 
 
 def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
-    """Yield the table, figures of the classifier and realism."""
-    say = words.say
+    """Yield the table and realism."""
     yield verdict_as_table(verdict, words)
-    yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
     yield from _realism_tables(verdict, words)
 
 
@@ -141,7 +146,7 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
         return lambda row: number(_scale(row)[0] * row[key])
 
     def value(row: Any) -> str:
-        return with_interval(told_by(row), _scale(row)[1] == "%")
+        return with_interval(interval(row), _scale(row)[1] == "%")
 
     return tabulate(
         "Verdict",
@@ -159,7 +164,7 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
             "Null": scaled("null"),
             **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
         },
-        [("", (row for _, row in verdict.table.iterrows()))],
+        [("", verdict.table)],
         words.say(_caption(verdict)),
         left=2,
         faint=lambda row: row["judgement"] == SAME,
@@ -187,6 +192,13 @@ def _caption(verdict: Verdict) -> str:
             if one in areas and math.isfinite(areas[one].estimate)
         ]
         said += f" The {name} is {' and '.join(told)}." if told else ""
+    falls = sorted(verdict.importance.items(), key=lambda item: -item[1])
+    if falls:
+        told = [f"{number(fall, 2)} ({kind})" for kind, fall in falls]
+        said += f" Shuffling one kind of feature lowers the AUC on {WINDOW:g} s by "
+        said += f"{', '.join(told)}."
+    if verdict.starts < FEWEST_DEMOS:
+        said += " There are few demonstrations, so the classifier's intervals are of parts of them."
     if verdict.smoothing > 1:
         said += (
             " All positions, simulated ones too, went through a moving average of "
@@ -206,18 +218,14 @@ def _realism_tables(verdict: Verdict, words: Words) -> Iterator[Table]:
 
     columns = {
         "Weight": lambda row: number(row["weight"], 2),
-        "Score\n[95 %]": lambda row: with_interval(interval(row, "score")),
+        "Score\n[95 %]": lambda row: with_interval(interval(row)),
         **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
     }
-    whole: list[Any] = []
-    parts: list[Any] = []
-    for _, row in scores.iterrows():
-        named = isinstance(row["component"], str) and row["component"]
-        (parts if named else whole).append(row)
+    whole = scores["component"].fillna("") == ""
     yield tabulate(
         "Realism",
         {"Kind": lambda row: str(row["kind"]), **columns},
-        [("", whole[::-1])],
+        [("", scores[whole][::-1])],
         words.say(
             "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
             "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
@@ -228,48 +236,104 @@ def _realism_tables(verdict: Verdict, words: Words) -> Iterator[Table]:
     yield tabulate(
         "Realism by component",
         {"Component": lambda row: str(row["component"]), **columns},
-        [("", parts)],
+        [("", scores[~whole])],
         "Components of a kind weigh alike.",
         folded="Realism by component",
     )
 
 
-def _classifier_caption(verdict: Verdict) -> str:
-    parts = (
-        " There are fewer than five demonstrations, so parts of them are dealt to the folds, and "
-        "the intervals are of these."
-        if verdict.parts
-        else ""
-    )
-    return (
-        f"Left: how often boosted trees, shown {WINDOW:g} s of motion of a demonstration that they "
-        "were not trained on, rank the simulated above the recorded: 0.5 is chance. Beside it "
-        "demonstrations among themselves, and, where they were rolled out, the demonstrations as "
-        "the fitted locomotion follows them (an estimate of what it allows), and random actions. "
-        "Right: "
-        f"by how much the area falls when one kind of feature is shuffled.{parts}"
-    )
+def comparison_as_table(
+    evaluation: Evaluation, words: Words, countings: Sequence[str], learner: str | None = None
+) -> Table:
+    """Return one row per method, of each of the rules in ``countings`` of which episodes count."""
+    comparison = evaluation.comparison
+    shown = [m for m in METRICS if m.heading and (comparison["measure"] == m.key).any()]
 
+    def told(
+        metric: Metric, write: Callable[[Any], str], of: str = ""
+    ) -> Callable[[tuple[str, str]], str]:
+        def cell(one: tuple[str, str]) -> str:
+            counting = "all" if metric.share else one[1]
+            row = pick(comparison, method=one[0], measure=of + metric.key, counting=counting)
+            return "" if row is None else write(row)
 
-def _pictures(verdict: Verdict) -> Iterator[Image]:
-    beside = verdict.areas.get(AUC, {})
-    areas = {
-        method_label(verdict.learner): verdict.auc,
-        "demonstrations among themselves": beside.get("among", UNDEFINED),
-        "closed-loop tracking": beside.get("floor", UNDEFINED),
-        "random": beside.get("ceiling", UNDEFINED),
+        return cell
+
+    def energy(row: Any, factor: float) -> str:
+        score, pooled = (factor * float(row[key]) for key in ("value", "null"))
+        return f"{number(score)} ({number(pooled)})" if math.isfinite(score) else ""
+
+    columns: dict[str, Callable[[Any], str]] = {
+        "method": lambda one: words.label(one[0]),
+        "n": told(PATH_LENGTH, lambda row: str(int(row["rollouts"]))),
     }
-    shown = {name: area for name, area in areas.items() if math.isfinite(area.estimate)}
-    if shown:
-        figure = figures.interval_rows(
-            shown, "Area under the ROC curve", title="Distinguished", reference=0.5,
-            limits=(min(0.4, *(a.low for a in shown.values())), 1.02),
-        )  # fmt: skip
-        yield to_image(figure, "Area under the ROC curve of the classifier, with its references")
-    if verdict.importance:
-        falls = {
-            kind: Interval(fall)
-            for kind, fall in sorted(verdict.importance.items(), key=lambda item: -item[1])
-        }
-        figure = figures.interval_rows(falls, "Fall of the area", title="By what", reference=0.0)
-        yield to_image(figure, "By how much the area falls when one kind of feature is shuffled")
+    for metric in shown:
+        unit = f"\n({words.unit_of(metric)})" if metric.is_length else ""
+        columns[metric.heading + unit] = told(metric, partial(words.told, metric=metric))
+        if metric.has_distribution:
+            columns[ENERGY + metric.heading.partition(",")[0]] = told(
+                metric, partial(energy, factor=words.factor(metric)), ENERGY
+            )
+    names = [str(name) for name in comparison["method"].unique()]
+    return tabulate(
+        "Comparison",
+        columns,
+        [(COUNTING[rule].capitalize(), [(name, rule) for name in names]) for rule in countings],
+        words.say(
+            "Mean [95 % interval] over recordings and training seeds; n: episodes. Energy: energy "
+            "score, in brackets what recordings of the other starts score; below it a simulator "
+            "uses its start."
+        ),
+        strong=lambda one: one[0] == learner,
+    )
+
+
+# -- on the terminal ------------------------------------------------------------------------------
+
+
+def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
+    """Return the verdict for the terminal; raise MissingExtraError if rich is not installed."""
+    table = verdict_as_table(verdict, words)
+    return _terminal_table(table, verdict_sentence(verdict, words), lambda row: not row.faint)
+
+
+def evaluation_table(
+    evaluation: Evaluation,
+    *,
+    counting: str = "all",
+    learner: str | None = None,
+    words: Words = DEMONSTRATED,
+) -> TerminalTable:
+    """Return the comparison for the terminal; raise MissingExtraError if rich is not installed.
+
+    Which episodes count, ``"all"`` or ``"captures"``, is in its title; the ``learner`` is bold.
+    """
+    table = comparison_as_table(evaluation, words, [counting], learner)
+    title = words.say(f"Simulated against recorded, {COUNTING[counting]}")
+    return _terminal_table(table, title, lambda row: row.strong, wrapped=False)
+
+
+def _terminal_table(
+    table: Table, title: str, bold: Callable[[Row], bool] = lambda row: False, wrapped: bool = True
+) -> TerminalTable:
+    """Return a table of one group for the terminal.
+
+    Columns of words may be wrapped; where they are not, intervals stand below means.
+    """
+    try:
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table as TerminalTable
+        from rich.text import Text
+    except ImportError as error:
+        raise MissingExtraError("the table", "algos") from error
+    made = TerminalTable(
+        title=Text(title), caption=Text(table.caption), box=SIMPLE_HEAD, padding=(0, 1)
+    )
+    words = table.left if wrapped else 0
+    for i, heading in enumerate(table.columns):
+        left = i < table.left
+        made.add_column(heading, justify="left" if left else "right", no_wrap=i >= words)
+    for row in table.groups[0].rows:
+        cells = row.cells if wrapped else [cell.replace(" [", "\n[") for cell in row.cells]
+        made.add_row(*map(Text, cells), style="bold" if bold(row) else "")
+    return made

@@ -69,13 +69,13 @@ class Words:
         """Return by what the tables' values are multiplied, where they are not shares."""
         return self.unit.per_arena_unit if metric.is_length else 1.0
 
-    def interval(self, row: Any, key: str, metric: Metric) -> Interval:
-        """Return an estimate of a table with its interval, in the unit told (shares as shares)."""
-        return scaled(UNDEFINED if row is None else interval(row, key), self.factor(metric))
+    def interval(self, row: Any, metric: Metric) -> Interval:
+        """Return what a row is about with its interval, in the unit told (shares as shares)."""
+        return scaled(UNDEFINED if row is None else interval(row), self.factor(metric))
 
-    def told(self, row: Any, key: str, metric: Metric) -> str:
+    def told(self, row: Any, metric: Metric) -> str:
         """Return the same as text, shares in percent; a dash where there is no row."""
-        return with_interval(self.interval(row, key, metric), metric.share)
+        return with_interval(self.interval(row, metric), metric.share)
 
     @property
     def speed(self) -> str:
@@ -140,7 +140,7 @@ def _fixed(value: float, decimals: int) -> str:
 
 def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[str]:
     """Return what limits the conclusions: few seeds, synthetic demonstrations."""
-    row = pick(comparison, method=learner, metric=DTW.key, counting="all")
+    row = pick(comparison, method=learner, measure=DTW.key, counting="all")
     seeds = 0 if row is None else int(row["seeds"])
     sentences = []
     if synthetic:

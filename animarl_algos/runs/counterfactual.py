@@ -16,14 +16,13 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation.collect import Cue, Policy
+from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.counterfactual_page import counterfactual_page
-from animarl_algos.report.inputs import CounterfactualInputs
+from animarl_algos.report.counterfactual_page import CounterfactualInputs, counterfactual_page
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.evaluating import UNTRAINED, command, refuse_run_folder
 from animarl_algos.runs.run import Run, method_name

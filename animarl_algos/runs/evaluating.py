@@ -17,8 +17,8 @@ import numpy as np
 
 from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
+from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.pretraining import few_or_count
 from animarl_algos.losses.terms import OfflineLoss, Selection

@@ -6,25 +6,39 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from animarl_algos.evaluation.decisions import Decisions, decide_along
+from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.tables import write_tables
+from animarl_algos.evaluation.statistics import Floats, Ints
+from animarl_algos.report import style
 from animarl_algos.report.inputs import PageInputs
 from animarl_algos.report.page import Gallery, Page, Section, Text
-from animarl_algos.report.path_figures import path_panels, values_along_path
+from animarl_algos.report.path_figures import path_panels
 from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import method_label, to_image
 from animarl_algos.runs.evaluating import command, refuse_run_folder
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.focus import first_pursuer
+from animarl_envs.locomotion import NUM_DIRECTIONS
 from animarl_envs.species import Species
+from animarl_envs.worlds import demonstration_observations
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DIRECTIONS = {0: "towards focus", 3: "right", 6: "away", 9: "left"}
+DIVERGING = "RdBu_r"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -201,3 +215,108 @@ def value_table(decisions: Decisions, dt: float) -> pd.DataFrame:
         "demonstrated": action == np.repeat(decisions.actions, actions),
     }
     return pd.DataFrame(columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Decisions:
+    """Action values of one ``individual`` in the demonstration ``demo`` of the evaluated set.
+
+    ``q`` ``(steps, actions)`` are those before each recorded step, ``actions`` ``(steps,)`` what
+    inverse dynamics finds in it.
+    """
+
+    individual: str
+    demo: int
+    q: Floats
+    actions: Ints
+
+
+def decide_along(
+    policy: Any,
+    species: Species,
+    demos: Demonstrations,
+    demo: int,
+    *,
+    condition_flag: bool = False,
+    focal: str | None = None,
+) -> Decisions:
+    """What ``policy`` values in one demonstration, where all move as recorded.
+
+    Parameters
+    ----------
+    policy
+        Of all individuals, in the order of ``demos``, or of ``focal`` alone; its ``advance`` gives
+        Q-values ``(slots, actions)`` and the next memory.
+    species
+        As the policy was trained in; its locomotion tells the recorded actions.
+    condition_flag
+        Whether the condition is the last component of an observation.
+    focal
+        The individual that learned, whose values are told. If all did: those of the first that
+        moves towards the target or source.
+    """
+    one = demos.select(episodes=[demo])
+    steps = int(one.lengths[0]) - 1
+    who = first_pursuer(one.roles) if focal is None else one.individuals.index(focal)
+    slots = np.arange(len(one.roles)) if focal is None else np.array([who])
+    observations: NDArray[np.float32] = demonstration_observations(species, one)[:, slots]
+    if condition_flag:
+        column = np.full((*observations.shape[:2], 1), one.condition[0], dtype=np.float32)
+        observations = np.concatenate([observations, column], axis=2)
+    actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
+    values = np.empty((steps, species.num_actions))
+    state: Any = None
+    for t in range(steps):
+        q_values, hidden, _ = policy.advance(observations[t], state, np.zeros(len(slots), bool))
+        values[t] = q_values[slots.tolist().index(who)]
+        state = (hidden, np.maximum(actions[t, slots], 0))
+    return Decisions(one.individuals[who], demo, values, actions[:steps, who])
+
+
+def action_labels(num_actions: int) -> dict[int, str]:
+    """Return names of actions for an axis: four directions of each thrust magnitude, and coasting.
+
+    With several magnitudes, the number in front counts them from the largest.
+    """
+    thrusts = (num_actions - 1) // NUM_DIRECTIONS
+    labels = {
+        NUM_DIRECTIONS * m + k: name if thrusts == 1 else f"{m + 1}: {name}"
+        for m in range(thrusts)
+        for k, name in DIRECTIONS.items()
+    }
+    return labels | {num_actions - 1: "coast"}
+
+
+def values_along_path(decisions: Decisions, dt: float) -> Figure:
+    """Draw the state value and the advantage of each action along a demonstration.
+
+    Dots are the actions that were found in it; ``dt`` is one decision step [s].
+    """
+    q, known = decisions.q, decisions.actions >= 0
+    time = np.arange(len(q)) * dt
+    with style.figure_style():
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6.6, 3.6), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1, 2.2])
+        above.plot(time, q.mean(axis=1), color=style.TARGET.hex, label="mean over actions")
+        above.plot(time, q.max(axis=1), color=style.BLUE.hex, linewidth=1.0, label="best action")
+        above.set(ylabel="Q", title=decisions.individual)
+        above.legend(loc="best", ncols=2)
+        advantage = (q - q.mean(axis=1, keepdims=True)).T
+        reach = float(np.abs(advantage).max()) or 1.0
+        edges = np.append(time, time[-1] + dt) - dt / 2
+        mesh = below.pcolormesh(
+            edges, np.arange(q.shape[1] + 1) - 0.5, advantage, cmap=DIVERGING, vmin=-reach,
+            vmax=reach, rasterized=True,
+        )  # fmt: skip
+        below.plot(
+            time[known], decisions.actions[known], ".", color=style.TARGET.hex, markersize=3.5,
+            markeredgewidth=0,
+        )  # fmt: skip
+        labels = action_labels(q.shape[1])
+        below.set_yticks(list(labels), list(labels.values()))
+        below.invert_yaxis()
+        below.set(xlabel="Time (s)", ylabel="Acceleration")
+        figure.colorbar(mesh, ax=below, label="Advantage", pad=0.01)
+    return figure

@@ -16,7 +16,7 @@ from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.recipe_choice import choose_recipe
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.evaluation.tables import Evaluation
+from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback

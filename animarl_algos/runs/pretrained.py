@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.evaluation.tables import Evaluation
+from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import SAME, UNKNOWN
 from animarl_algos.learner.algorithm import SequenceQLearning

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.order_in_time import nearest_other
+from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.absent import Present, simulate_from

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import interval
-from animarl_algos.evaluation.tables import write_tables
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import style
 from animarl_algos.report.inputs import PageInputs
 from animarl_algos.report.page import (
@@ -210,9 +210,7 @@ def _row(row: pd.Series) -> Row:
     cells = [f"{row['quantity']} ({'%' if percent else row['unit']})"]
     factor = 100.0 if percent else 1.0
     cells += [number(factor * row[key]) for key in ("recorded", "baseline", "changed")]
-    shift = scaled(
-        interval(row.rename({"low": "shift_low", "high": "shift_high"}), "shift"), factor
-    )
+    shift = scaled(Interval(row["shift"], row["low"], row["high"]), factor)
     p = f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else ""
     cells += [with_interval(shift), number(factor * row["gap"]), row["judged"] + p]
     red = row["warning"] == Caution.RED

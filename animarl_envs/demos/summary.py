@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import FILLED, PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.episode import FILLED, PURSUER_OUT, TARGET_OUT, TIME_OUT, Episodes
 from animarl_envs.focus import distances_to_target, is_free
 from animarl_envs.species import SPECIES
 
@@ -26,7 +26,7 @@ TRACKING = (
 )  # counts of frames
 
 
-def outcome_name(outcome: int, demos: Demonstrations) -> str:
+def outcome_name(outcome: int, demos: Episodes) -> str:
     """An outcome code in words."""
     if outcome > 0:
         name, role = demos.individuals[outcome - 1], demos.roles[outcome - 1]

@@ -70,18 +70,18 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 218,
-    "animarl_algos.benchmark": 1_958,
-    "animarl_algos.cli": 2_541,
+    "animarl_algos.benchmark": 1_895,
+    "animarl_algos.cli": 2_543,
     "animarl_algos.data": 1_102,
-    "animarl_algos.evaluation": 5_354,
+    "animarl_algos.evaluation": 5_152,
     "animarl_algos.learner": 3_109,
     "animarl_algos.losses": 618,
     "animarl_algos.networks": 1_790,
     "animarl_algos.recipes": 197,
     "animarl_algos.replay": 976,
-    "animarl_algos.report": 2_434,
-    "animarl_algos.runs": 2_632,
-    "animarl_algos.whatif": 2_186,
+    "animarl_algos.report": 2_289,
+    "animarl_algos.runs": 2_750,
+    "animarl_algos.whatif": 2_184,
     "animarl_algos.zoo": 483,
     "animarl_envs": 2_365,
     "animarl_envs.demos": 1_281,
@@ -94,7 +94,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 33_043
+TESTS = 33_013
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
-from test_benchmark import run_plan, tiny
+from test_benchmark import rows_of, run_plan, tiny
 
 from animarl_algos.benchmark.matrix import Matrix, Plan, plan
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -44,12 +44,9 @@ def finished(asked: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def rows(finished: Path) -> dict[str, Any]:
+def rows(finished: Path) -> dict[str, pd.DataFrame]:
     """The rows of the leaderboard by method, and their measures by name."""
-    found = json.loads((finished / "leaderboard.json").read_text())["rows"]
-    for row in found:
-        row["measures"] = {one["measure"]: one for one in row["measures"]}
-    return {row["method"]: row for row in found}
+    return rows_of(finished)
 
 
 def test_every_episode_is_test_once_and_val_once(recordings: Demonstrations) -> None:
@@ -74,27 +71,29 @@ def test_folds_need_recordings(recordings: Demonstrations, folds: int) -> None:
 
 
 def test_benchmark_crosses_own_recordings(
-    finished: Path, asked: Plan, rows: dict[str, Any]
+    finished: Path, asked: Plan, rows: dict[str, pd.DataFrame]
 ) -> None:
     assert len(asked.worlds) == FOLDS and len(asked.cells) == 4 * FOLDS
     assert len({cell.key for cell in asked.cells}) == 4 * FOLDS
-    assert {name: row["rollouts"] for name, row in rows.items()} == {
+    assert {name: row["rollouts"].iloc[0] for name, row in rows.items()} == {
         "soft-bc": 24, "recordings": 12, "tracking": 12, "still": 24,
     }  # fmt: skip
-    assert {row["starts"] for row in rows.values()} == {12}
+    assert {row["starts"].iloc[0] for row in rows.values()} == {12}
     assert "12 test starts, cross-validated in 3 folds" in (finished / "leaderboard.md").read_text()
     assert "| days/soft-bc | 1 |" in (finished / "costs.md").read_text()  # one seed, not three
 
 
-def test_benchmark_measures_rollouts_against_their_own_starts(rows: dict[str, Any]) -> None:
+def test_benchmark_measures_rollouts_against_their_own_starts(
+    rows: dict[str, pd.DataFrame],
+) -> None:
     """What tracks the recordings is at zero from them, if every rollout meets its own recording."""
-    measure = rows["tracking"]["measures"]["dtw_per_step"]
+    measure = rows["tracking"].loc["dtw_per_step"]
     assert measure["value"] < 0.05 * measure["null"]
 
 
-def test_recordings_are_not_told_from_themselves(rows: dict[str, Any]) -> None:
+def test_recordings_are_not_told_from_themselves(rows: dict[str, pd.DataFrame]) -> None:
     """Over all folds the same episodes stand on both sides, and the sides could be learned."""
-    area = rows["recordings"]["measures"]["auc"]
+    area = rows["recordings"].loc["auc"]
     assert area["null"] == area["high"]
     assert 0.35 < area["value"] < 0.65
 

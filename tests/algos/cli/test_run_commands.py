@@ -16,8 +16,8 @@ from commands import Done
 from small_runs import few, made
 
 from animarl_algos.evaluation import Rollouts
-from animarl_algos.evaluation.metrics import path_lengths
-from animarl_algos.evaluation.tables import TABLES
+from animarl_algos.evaluation.comparison import TABLES
+from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.runs.run import Run
 from animarl_envs.files import all_files_or_none
 

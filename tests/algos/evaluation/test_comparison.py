@@ -19,23 +19,24 @@ def test_comparison_counts_what_it_says() -> None:
         ("DQDIL", 1, recorded + 1.0, caught),
     )
     table = comparison_table(metrics, 20, rng, resamples=400)
-    everything = row(table, method="DQDIL", metric="duration", counting="all")
+    everything = row(table, method="DQDIL", measure="duration", counting="all")
     assert everything["rollouts"] == 40 and everything["seeds"] == 2
-    assert everything["to_recorded"] == pytest.approx(1.0)
-    assert (everything["to_recorded_low"], everything["to_recorded_high"]) == pytest.approx((1, 1))
     pairs = pair_table(metrics, 20, rng, resamples=400)
-    to_bc = row(pairs, first="DQDIL", second="BC", metric="duration", counting="all")
-    assert to_bc["difference"] == pytest.approx(-1.0)
-    assert np.isnan(everything["energy"])  # one rollout a start shows no spread
-    captures = row(table, method="DQDIL", metric="duration", counting="captures")
+    duration = {"first": "DQDIL", "measure": "duration", "counting": "all"}
+    to_recorded = row(pairs, second="recorded", **duration)
+    assert to_recorded[["low", "value", "high"]].tolist() == pytest.approx([1.0] * 3)
+    assert row(pairs, second="BC", **duration)["value"] == pytest.approx(-1.0)
+    energy = row(table, method="DQDIL", measure="energy of duration", counting="all")
+    assert np.isnan(energy["value"])  # one rollout a start shows no spread
+    captures = row(table, method="DQDIL", measure="duration", counting="captures")
     assert captures["rollouts"] == 16 and captures["demos"] == 8
-    assert captures["mean"] == pytest.approx(recorded[:8].mean() + 1.0)
-    assert row(table, method="BC", metric="return")["mean"] == pytest.approx(0.6)
+    assert captures["value"] == pytest.approx(recorded[:8].mean() + 1.0)
+    assert row(table, method="BC", measure="reached")["value"] == pytest.approx(0.6)
     # Recordings are not compared with themselves, and DTW only from method to method.
-    assert np.isnan(row(table, method="recorded", metric="duration", counting="all")["energy"])
-    dtw = row(table, method="BC", metric="dtw", counting="all")
-    assert np.isnan(dtw["to_recorded"]) and np.isnan(dtw["energy"])
-    assert len(table[(table["method"] == "recorded") & (table["metric"] == "dtw")]) == 0
+    of = {name: set(rows["measure"]) for name, rows in table.groupby("method")}
+    assert of["recorded"] == {"reached", "path_length", "duration"}
+    assert "energy of duration" in of["BC"] and "energy of dtw" not in of["BC"]
+    assert "dtw" not in set(pairs.loc[pairs["second"] == "recorded", "measure"])
 
 
 def test_pairs_are_differences_on_the_same_demonstrations() -> None:
@@ -48,11 +49,10 @@ def test_pairs_are_differences_on_the_same_demonstrations() -> None:
         ("DQDIL", 0, recorded + 1.0, caught),
     )
     table = pair_table(metrics, 20, rng, resamples=200)
-    assert "recorded" not in set(table["first"]) | set(table["second"])
+    assert "recorded" not in set(table["first"])
     for first, second, difference in [("BC", "DQDIL", 1.0), ("DQDIL", "BC", -1.0)]:
-        pair = row(table, first=first, second=second, metric="duration", counting="all")
-        ends = (pair["difference_low"], pair["difference"], pair["difference_high"])
-        assert ends == pytest.approx((difference,) * 3)
+        pair = row(table, first=first, second=second, measure="duration", counting="all")
+        assert pair[["low", "value", "high"]].tolist() == pytest.approx([difference] * 3)
 
 
 def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:
@@ -62,14 +62,12 @@ def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:
         [
             metrics_rows("recorded", -1, values, caught),
             metrics_rows("DQCIL", 0, values, caught, cue=0),
-            metrics_rows("DQCIL", 0, values + 100.0, caught, cue=1),
-            metrics_rows("DQCIL", 0, values + 200.0, caught, condition=1, cue=1),
+            metrics_rows("DQCIL", 0, values + 100.0, caught, cue=1, factual=False),
         ]
     )
     table = comparison_table(metrics, 10, rng, resamples=50)
-    assert row(table, method="DQCIL", metric="duration", counting="all")["mean"] == pytest.approx(
-        values.mean()
-    )
+    found = row(table, method="DQCIL", measure="duration", counting="all")
+    assert found["value"] == pytest.approx(values.mean())
 
 
 def runs(
@@ -104,7 +102,7 @@ def test_a_gate_of_few_seeds_decides_nothing(methods: dict[str, float], seeds: i
     """Two methods of three seeds have 20 arrangements: the smallest p is 2 in 20."""
     table = gates(runs(methods, dict.fromkeys(methods, seeds), repetitions=2))
     assert set(table["gate"]) == {"cannot be decided with so few seeds"}
-    assert set(table["metric"]) == {"path_length", "duration", "dtw"}
+    assert set(table["measure"]) == {"energy of path_length", "energy of duration", "dtw"}
     assert set(table["counting"]) == {"all"}
 
 
@@ -122,10 +120,10 @@ def test_unequal_seeds_and_missing_starts_pass_the_gate_all_the_same() -> None:
     metrics = runs(gaps, {"DQAAS": 4, "DQDIL": 3, "DQDIL-PT": 5}, repetitions=2)
     lacking = (metrics["method"] == "DQDIL") & (metrics["demo"] < 3)
     table = gates(metrics[~lacking])
-    table = table[table["metric"] != "dtw"]  # here as far on either side as the others
+    table = table[table["measure"] != "dtw"]  # here as far on either side as the others
     assert set(table["gate"]) == {"passed"} and (table["gate_p"] <= 0.05).all()
-    clear = row(table, metric="duration", first="DQDIL", second="DQAAS")
-    assert clear["demos"] == 17 and clear["energy_high"] < 0
+    clear = row(table, measure="energy of duration", first="DQDIL", second="DQAAS")
+    assert clear["demos"] == 17 and clear["high"] < 0
 
 
 def test_differences_of_captures_are_of_shared_starts() -> None:
@@ -141,16 +139,14 @@ def test_differences_of_captures_are_of_shared_starts() -> None:
         ]
     )
     pairs = pair_table(metrics, 20, rng, resamples=200)
-    where = {"first": "DQDIL", "second": "BC", "metric": "duration"}
+    where = {"first": "DQDIL", "second": "BC", "measure": "duration"}
     captures = row(pairs, counting="captures", **where)
     assert captures["demos"] == 4 and captures["pairing"] == "paired, shared starts only"
-    assert abs(captures["difference"]) < 0.5
+    assert abs(captures["value"]) < 0.5
     everything = row(pairs, counting="all", **where)
     assert everything["demos"] == 20 and everything["pairing"] == "paired, same starts"
-    table = comparison_table(metrics, 20, rng, resamples=200)
-    mean = row(table, method="DQDIL", metric="duration", counting="captures")
-    assert mean["mean"] > 13 and mean["to_recorded"] == pytest.approx(0.0, abs=0.2)
-    assert mean["to_recorded_demos"] == 12
+    to_recorded = row(pairs, counting="captures", **where | {"second": "recorded"})
+    assert to_recorded["value"] == pytest.approx(0.0, abs=0.2) and to_recorded["demos"] == 12
 
 
 def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None:
@@ -165,22 +161,13 @@ def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None
         ]
     )
     table = comparison_table(metrics, 6, rng, resamples=100)
-    one = row(table, method="BC", metric="duration", counting="captures")
-    assert np.isnan([one["mean_low"], one["to_recorded_low"], one["energy"]]).all()
-    assert "mean: one demonstration" in one["reason"]
-    assert "energy: fewer than two rollouts a start" in one["reason"]
-    assert one["covers"] == "this network only"
+    where = {"method": "BC", "counting": "captures"}
+    one, energy = (row(table, measure=f"{of}duration", **where) for of in ("", "energy of "))
+    assert np.isnan([one["low"], energy["value"]]).all() and one["covers"] == "this network only"
+    assert one["reason"].startswith("one demonstration")
+    assert energy["reason"] == "fewer than two rollouts a start"
     assert set(table.loc[table["method"] == "DQDIL", "covers"]) == {"training runs like these"}
     pairs = pair_table(metrics, 6, rng, resamples=100)
-    assert set(pairs["covers"]) == {"these networks only"}
-    apart = row(pairs, first="BC", second="DQDIL", metric="duration", counting="captures")
-    assert np.isnan(apart["difference"]) and "no shared start" in apart["reason"]
-
-
-def test_duration_and_outcome_stand_beside_dtw() -> None:
-    rng = np.random.default_rng(0)
-    recorded, caught = rng.normal(5.0, 1.0, 10), np.arange(10) < 4
-    metrics = joined_rows(("recorded", -1, recorded, caught), ("BC", 0, np.full(10, 1.0), caught))
-    table = comparison_table(metrics, 10, rng, resamples=100)
-    dtw = row(table, method="BC", metric="dtw", counting="all")
-    assert dtw["duration"] == pytest.approx(1.0) and dtw["reached"] == pytest.approx(0.4)
+    assert set(pairs.loc[pairs["second"] == "DQDIL", "covers"]) == {"these networks only"}
+    apart = row(pairs, first="BC", second="DQDIL", measure="duration", counting="captures")
+    assert np.isnan(apart["value"]) and "no shared start" in apart["reason"]

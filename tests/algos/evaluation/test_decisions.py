@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from report_inputs import make_demos
 
-from animarl_algos.evaluation.decisions import Decisions, decide_along
+from animarl_algos.runs.inspecting import Decisions, decide_along
 from animarl_envs.species import SPECIES
 
 

@@ -12,9 +12,8 @@ from animarl_algos.evaluation import effects as of
 from animarl_algos.evaluation.effects import (
     FEWEST_SEEDS,
     objection_to_claim,
-    over_seeds,
 )
-from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.statistics import Cells, bootstrap_mean
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import MlpPolicy
@@ -147,9 +146,9 @@ def test_a_planted_truth_is_recovered_within_its_interval() -> None:
         true = value(planted_effects(), of.TRUE, c)
         assert true["value"] == pytest.approx(truth, abs=1e-9)
         predicted = value(planted_effects(), of.PREDICTED, c)
-        assert predicted["value_low"] <= truth <= predicted["value_high"]
+        assert predicted["low"] <= truth <= predicted["high"]
         missed = value(planted_effects(), of.MISSED, c)
-        assert missed["value_low"] <= 0.0 <= missed["value_high"]
+        assert missed["low"] <= 0.0 <= missed["high"]
         assert missed["value"] == pytest.approx(predicted["value"] - true["value"])
 
 
@@ -238,7 +237,7 @@ def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
     effects = cue_effects({"DQCIL": Asked(trained=one)}, starts(), planned=(0, 1), resamples=200)
     assert not effects.claims["worded"].any()
     rows = effects.table[effects.table["quantity"] == of.PREDICTED]
-    assert (rows["speaks_of"] == "this network only").all()
+    assert (rows["covers"] == "this network only").all()
     missing = effects.table[effects.table["value"].isna()]
     assert len(missing) and (missing["reason"] != "").all()
     assert set(missing.loc[missing["quantity"] == of.TRUE, "reason"]) == {of.NO_TRUTH}
@@ -258,13 +257,6 @@ def test_who_acts_without_chance_has_no_shift_by_chance() -> None:
         )
 
 
-def test_student_interval_over_seeds() -> None:
-    """Textbook: means 1, 2, 3 with t(0.975, 2) = 4.3027 and standard error 1 / sqrt(3)."""
-    found = over_seeds(Cells(np.repeat([[1.0], [2.0], [3.0]], 4, axis=1), np.ones((3, 4))))
-    assert found.estimate == pytest.approx(2.0)
-    assert found.high - 2.0 == pytest.approx(4.302653 / np.sqrt(3), rel=1e-6)
-
-
 def test_errors_of_the_two_learners_are_paired() -> None:
     first, second = (joined([answers(PreyRests(k + s), s) for s in range(2)]) for k in (3, 4))
     asked = {"DQCIL-PT": Asked(trained=first), "DQDIL-PT": Asked(trained=second)}
@@ -276,4 +268,4 @@ def test_errors_of_the_two_learners_are_paired() -> None:
         mine = errors[errors["condition"] == c].set_index("method")["value"]
         row = rows[(rows["condition"] == c) & (rows["counting"] == "all")].iloc[0]
         assert row["value"] == pytest.approx(mine["DQCIL-PT"] - mine["DQDIL-PT"])
-        assert row["value_low"] <= row["value"] <= row["value_high"]
+        assert row["low"] <= row["value"] <= row["high"]

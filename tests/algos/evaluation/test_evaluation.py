@@ -104,11 +104,11 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
             assert (table["pace"] > 0).all()
             table = table[known.columns]
         else:
-            assert "pace" in set(table["metric"])
-            table = table[table["metric"] != "pace"].reset_index(drop=True)
+            assert "pace" in set(table["measure"])
+            table = table[~table["measure"].isin(["pace", "energy of pace"])].reset_index(drop=True)
         pd.testing.assert_frame_equal(table, known)  # what was there stays as it was
-    rows = again.comparison.query("metric == 'pace' and method == 'dqdil' and counting == 'all'")
-    assert rows[["to_recorded", "energy"]].notna().all(axis=None)
+    rows = again.comparison.query("method == 'dqdil' and counting == 'all'").set_index("measure")
+    assert rows.loc[["pace", "energy of pace"], "value"].notna().all()
     page = rendered(dataclasses.replace(inputs, evaluation=again))
     assert page.count("Path length over duration.") == 1
     assert "energy of pace" in page

@@ -195,7 +195,7 @@ def test_metrics_follow_the_kind_of_data(group: Demonstrations, larvae: Demonstr
     }
     assert "reached" in of["chase"] and not of["chase"] & GROUP_ROWS
     assert of["group"] > GROUP_ROWS and "reached" not in of["group"] | of["animal"]
-    assert "return" not in {metric.key for metric in compared_metrics(group)}
+    assert "reached" not in {metric.key for metric in compared_metrics(group)}
     assert len({metric.key for metric in METRICS}) == len(METRICS)
 
 

@@ -5,12 +5,8 @@ import pytest
 from moving_pairs import demonstrations_of, rollouts_along
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.metrics import (
-    dtw_alignments,
-    measure,
-    measure_recordings,
-    path_lengths,
-)
+from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.evaluation.prepared import dtw_alignments, path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -51,16 +47,16 @@ def test_path_length_is_that_of_each_episode_alone(demos: Demonstrations) -> Non
 def test_measures_of_the_recordings(demos: Demonstrations) -> None:
     table = measure_recordings(demos)
     assert table["method"].unique().tolist() == ["recorded"]
-    assert table["return"].tolist() == [1.0, 0.0, 1.0]
+    assert table["reached"].tolist() == [1.0, 0.0, 1.0]
     assert table["duration"].to_numpy() == pytest.approx([1.0, 0.5, 2.0])
     assert table["path_length"].to_numpy() == pytest.approx([0.3, 0.075, 0.9])  # pursuers only
     assert (table["dtw"] == 0.0).all() and (table["dtw_per_step"] == 0.0).all()
 
 
-def test_return_counts_captures_by_a_pursuer_only(demos: Demonstrations) -> None:
+def test_reached_counts_captures_by_a_pursuer_only(demos: Demonstrations) -> None:
     """Contact counts; a target that leaves, a pursuer that leaves and a time-out do not."""
     table = measure(rollouts(demos, [0, 0, 0, 0], [chase(3, 0.1)] * 4), demos)
-    assert table["return"].tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert table["reached"].tolist() == [1.0, 0.0, 0.0, 1.0]
     assert table["captured"].tolist() == [True, False, False, True]
 
 
@@ -103,7 +99,7 @@ def test_a_lone_searcher_is_measured_itself() -> None:
     )  # fmt: skip
     table = measure_recordings(demos)
     assert table["path_length"][0] == pytest.approx(0.4)
-    assert table["duration"][0] == 2.0 and table["return"][0] == 1.0
+    assert table["duration"][0] == 2.0 and table["reached"][0] == 1.0
 
 
 def test_foreign_rollouts_are_refused(demos: Demonstrations) -> None:

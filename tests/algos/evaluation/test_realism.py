@@ -30,7 +30,7 @@ def recorded_and_simulated(
 
 def score_of(recorded: Demonstrations, rollouts: Rollouts) -> float:
     found = realism(Prepared(recorded), rollouts, np.random.default_rng(0))
-    return float(found["score"].iloc[-1])
+    return float(found["value"].iloc[-1])
 
 
 def standing_still(rollouts: Rollouts) -> Rollouts:
@@ -79,7 +79,7 @@ def test_who_stands_still_has_the_least_likely_turns() -> None:
         realism(Prepared(recorded), one, np.random.default_rng(0)).set_index("component")
         for one in (perfect, standing_still(perfect))
     )
-    assert still.loc["turning", "score"] < 0.01 < 0.1 < true.loc["turning", "score"]
+    assert still.loc["turning", "value"] < 0.01 < 0.1 < true.loc["turning", "value"]
 
 
 def test_realism_stands_between_its_references() -> None:
@@ -87,8 +87,8 @@ def test_realism_stands_between_its_references() -> None:
     found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
     total = found.iloc[-1]
     assert total["kind"] == "total"
-    assert total[OTHERS] < total["score"] < total[CEILING] <= 1.0
-    assert total["score_low"] < total["score"] < total["score_high"]
+    assert total[OTHERS] < total["value"] < total[CEILING] <= 1.0
+    assert total["low"] < total["value"] < total["high"]
     kinds = found[found["component"].eq("") & found["kind"].ne("total")]
     assert dict(zip(kinds["kind"], kinds["weight"])) == pytest.approx(dict(WEIGHTS))
 
@@ -96,15 +96,15 @@ def test_realism_stands_between_its_references() -> None:
 def test_realism_of_one_recording_and_of_recordings_that_merely_end() -> None:
     recorded, perfect = recorded_and_simulated(PAIR, 1, seed=4)
     found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
-    assert OTHERS not in found and np.isnan(found["score_low"].iloc[-1])
+    assert OTHERS not in found and np.isnan(found["low"].iloc[-1])
     cut = Prepared(replace(recorded, outcome=np.full(1, UNFINISHED)))
     ending = realism(cut, perfect, np.random.default_rng(0))
     rows = ending.set_index("component")
     assert "outcome" not in rows.index  # nothing is known of how it would have ended
-    assert rows.loc["duration", "score"] == pytest.approx((EACH + 0.1) / (EACH + 0.2))
+    assert rows.loc["duration", "value"] == pytest.approx((EACH + 0.1) / (EACH + 0.2))
     short = dying_early(perfect)
     ended = realism(cut, short, np.random.default_rng(0))
-    assert ended.set_index("component").loc["duration", "score"] == pytest.approx(
+    assert ended.set_index("component").loc["duration", "value"] == pytest.approx(
         0.1 / (EACH + 0.2)
     )
 

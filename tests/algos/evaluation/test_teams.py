@@ -10,7 +10,7 @@ import pytest
 import torch
 from refusals import refuses
 
-from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import PublishedTeam, teams_of
 from animarl_envs.demos.demonstrations import Demonstrations

@@ -12,15 +12,20 @@ from refusals import refuses
 
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
-from animarl_algos.evaluation.metrics import METRICS, MetricInputs, judged_metrics, slow_speeds
+from animarl_algos.evaluation.metrics import METRICS, judged_metrics, measures
 from animarl_algos.evaluation.order_in_time import KINEMATIC, MEASURES
-from animarl_algos.evaluation.prepared import Prepared, censored, log_rank_scores, mean_survival
+from animarl_algos.evaluation.prepared import (
+    Prepared,
+    censored,
+    log_rank_scores,
+    mean_survival,
+    slow_speeds,
+)
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, is_green, verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN
 from animarl_algos.report.page import Table
-from animarl_algos.report.terminal import verdict_table
-from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence
+from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
@@ -309,8 +314,9 @@ def test_measures_of_a_known_path() -> None:
     one = replace(
         recorded.select(np.array([0])), positions=both, lengths=np.array([5]), outcome=[-2]
     )
-    episodes = MetricInputs(one, demos, slow=np.array([5.0, 5.0]))
-    found = {metric.key: metric.measure(episodes) for metric in judged_metrics(demos)}
+    prepared = Prepared(demos)
+    vars(prepared)["slow"] = np.array([5.0, 5.0])
+    found = {metric.key: metric.measure(prepared.episodes(one)) for metric in judged_metrics(demos)}
     assert set(found) < {metric.key for metric in METRICS}
     assert found["duration"][0] == pytest.approx(0.4)
     assert found["path_length"][0] == pytest.approx(4.0)  # of the pursuer
@@ -331,9 +337,9 @@ def test_who_is_held_by_a_wall_has_not_left() -> None:
     reach = np.hypot(*np.moveaxis(rollouts.positions, -1, 0))
     assert reach.max() > 1.0 - 1e-5  # somebody is at the wall
     prepared = Prepared(demos)
-    assert not prepared.measures(rollouts)["leaving"].any()
+    assert not measures(prepared, rollouts)["leaving"].any()
     beyond = replace(rollouts, positions=rollouts.positions * 1.001)
-    assert prepared.measures(beyond)["leaving"].any()
+    assert measures(prepared, beyond)["leaving"].any()
 
 
 def test_slow_is_a_quarter_of_the_median_moving_speed() -> None:

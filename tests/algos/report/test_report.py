@@ -17,7 +17,7 @@ from report_inputs import (
     report_page,
 )
 
-from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report import write_report
 from animarl_algos.report.words import with_interval
 from animarl_envs.errors import InputError
@@ -48,9 +48,9 @@ def test_what_made_the_run_is_on_the_page() -> None:
 def test_numbers_on_the_page_are_those_of_the_tables() -> None:
     table = report_inputs().evaluation.comparison
     row = table[
-        (table["method"] == "dqdil") & (table["metric"] == "dtw") & (table["counting"] == "all")
+        (table["method"] == "dqdil") & (table["measure"] == "dtw") & (table["counting"] == "all")
     ].iloc[0]
-    text = with_interval(Interval(row["mean"], row["mean_low"], row["mean_high"]))
+    text = with_interval(interval(row))
     assert text in report_page()
 
 

@@ -5,19 +5,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.report.path_figures import (
     Stage,
-    bar_length,
     path_panels,
-    values_along_path,
 )
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words
+from animarl_algos.runs.inspecting import Decisions, values_along_path
 from animarl_envs.arena import Arena
-from animarl_envs.demos.summary import Unit
-
-MM = Unit("mm", 4.0)
 
 
 def test_values_are_drawn_along_a_path() -> None:
@@ -47,13 +42,6 @@ def test_individuals_differ_in_more_than_colour() -> None:
     for key in ("colour", "marker"):
         assert len({str(getattr(look, key)) for look in seen}) == 4
     assert len({str(look.dashes) for look in seen[:3]}) == 3
-
-
-def test_a_scale_bar_is_round_and_fits() -> None:
-    for half in (0.013, 0.35, 1.0, 7.0):
-        length = bar_length(half, MM)
-        assert half * MM.per_arena_unit / 8 < length <= half * MM.per_arena_unit / 2
-        assert f"{length:.0e}"[0] in "125"
 
 
 def test_a_lost_searcher_does_not_hide_the_recording() -> None:

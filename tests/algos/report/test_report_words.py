@@ -21,7 +21,7 @@ from animarl_envs.demos.packaged import load_packaged
 
 def comparison() -> pd.DataFrame:
     """A table of one method."""
-    row = {"method": "bc", "metric": "dtw", "counting": "all", "rollouts": 5, "seeds": 1}
+    row = {"method": "bc", "measure": "dtw", "counting": "all", "rollouts": 5, "seeds": 1}
     return pd.DataFrame([row])
 
 
@@ -98,11 +98,11 @@ def test_lengths_are_told_in_the_unit_of_the_recordings(synthetic: bool) -> None
 
 def test_numbers_are_told_in_that_unit_too() -> None:
     metric = METRICS[1]  # path length
-    row = {"mean": 2.0, "mean_low": 1.0, "mean_high": 3.0}
+    row = {"value": 2.0, "low": 1.0, "high": 3.0, "reason": ""}
     words = Words.of(measured(False))
-    assert with_interval(words.interval(row, "mean", metric)) == "8.0 [4.0, 12.0]"
+    assert with_interval(words.interval(row, metric)) == "8.0 [4.0, 12.0]"
     assert (words.unit_of(metric), words.axis(metric)) == ("mm", "Path length (mm)")
-    assert with_interval(Words().interval(row, "mean", metric)) == "2.0 [1.0, 3.0]"
+    assert with_interval(Words().interval(row, metric)) == "2.0 [1.0, 3.0]"
     assert Words().unit_of(METRICS[2]) == "s" and words.factor(METRICS[2]) == 1.0
 
 

@@ -13,9 +13,8 @@ import animarl_envs
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_actions
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.decisions import decide_along
 from animarl_algos.recipes.registry import DQN
-from animarl_algos.report.path_figures import action_labels
+from animarl_algos.runs.inspecting import action_labels, decide_along
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import demonstrated_actions, one_step_misses, transitions
