@@ -247,6 +247,8 @@ def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         return []
     seen, warned = learnable(demos), []
     for i, one in enumerate(fits_by_kind(fit, demos)):
+        if one.top_speed == 0:  # there is no step to measure noise by
+            continue
         noisy = fit_with_noise(seen, i, most_steps=QUICK_STEPS, intervals=False)
         if abs(one.thrust - noisy.thrust) > MATTERS * noisy.thrust:
             warned.append(
@@ -327,7 +329,14 @@ def _compare_states(
     """Fit states of locomotion and print how well each number explains what no fit has seen."""
     rows: list[dict[str, Any]] = []
     words = []
+    speeds = np.linalg.norm(demos.select(split="train").velocities(), axis=2)
+    own = np.split(speeds, len(demos.kinds), axis=1)
+    if not speeds.any():
+        raise InputError(f"{demos.name}: no individual ever moves in train: check the tracks")
     for i, name in enumerate(demos.kinds):
+        if not own[i].any():
+            words.append(f"{name}: never moves in train, so that it has no states")
+            continue
         fits, best = compare_states(demos, i, states, thrusts)
         for fit in fits:
             for s in range(len(fit.damping)):

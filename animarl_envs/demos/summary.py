@@ -126,7 +126,7 @@ def summarise(demos: Demonstrations) -> dict[str, Any]:
         found[f"speed of {name}"] = {
             "median": float(np.median(own)),
             "99 %": top,
-            "resting": float((own < RESTING_SHARE * top).mean()),
+            "resting": float((own <= RESTING_SHARE * top).mean()),
         }
     for condition in np.unique(demos.condition):
         outcome = demos.outcome[demos.condition == condition]

@@ -58,8 +58,9 @@ _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
     """Damping, thrust and magnitudes of every individual, from all episodes of ``demos``.
 
-    Raises InputError if ``thrusts`` is none of 1 to 10, or an individual has too few steps or never
-    moves.
+    One that never moves stops at once (d = 1) and has the largest thrust of the others, so that no
+    push explains a step of it. Raises InputError if ``thrusts`` is none of 1 to 10, an individual
+    has too few steps, or nobody moves.
 
     Parameters
     ----------
@@ -72,9 +73,15 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
     names = demos.kinds
     alike = demos.num_individuals // len(names)  # of a group one stands for all
     every = [transitions(demos, i) for i in range(len(names))]
-    ones = [
-        fit_joint(data, f"{demos.name}: {name}") for data, name in zip(every, names, strict=True)
-    ]
+    moving = {
+        name: fit_joint(data, f"{demos.name}: {name}")
+        for data, name in zip(every, names, strict=True)
+        if data.next_velocity.any() or len(data) < 3
+    }
+    if not moving:
+        raise InputError(f"{demos.name}: no individual ever moves: check the tracks")
+    still = Locomotion(1.0, max(one.thrust for one in moving.values()))
+    ones = [moving.get(name, still) for name in names]
     if thrusts == 1:  # or the best fit that reaches the fast speed
         return alike * tuple(
             one if one.terminal_speed(demos.dt) >= fast_speed(data)

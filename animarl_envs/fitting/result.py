@@ -138,8 +138,8 @@ def fit_locomotion(
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
-    Raises InputError if a split is empty, an individual never moves, or the onset fit finds no
-    onset.
+    Raises InputError if a split is empty, nobody moves, one never moves whom the onset or noise
+    rule is asked for, or the onset fit finds no onset.
 
     Parameters
     ----------
@@ -192,7 +192,8 @@ def fit_locomotion(
             own = joint[i]
             if weights is not None and thrusts == 1:
                 data = transitions(training, i)
-                samples = bootstrap_joint(data, own, weights, fast_speed(data))
+                if data.next_velocity.any():
+                    samples = bootstrap_joint(data, own, weights, fast_speed(data))
         else:
             own = fit_onset(training, i, onset_threshold)
             starts = onset_data(training, i, onset_threshold)
@@ -299,8 +300,11 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         step out as a tracking jump.
     """
     seen = demos if fit.fitted_on == "all" else demos.select(split=fit.fitted_on)
-    fast, unknown, jumps = list[str](), list[str](), list[str]()
+    still, fast, unknown, jumps = list[str](), list[str](), list[str](), list[str]()
     for i, one in enumerate(fits_by_kind(fit, demos)):
+        if one.top_speed == 0:
+            still.append(one.name)
+            continue
         if one.terminal_speed > TOO_FAST * one.top_speed:
             fast.append(
                 f"{one.name} would reach {one.terminal_speed:.3g} arena units/s, "
@@ -321,6 +325,11 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
                 f"{whole.damping:.3g} and {whole.thrust:.3g} with them"
             )
     found = []
+    if still:
+        found.append(
+            f"{', '.join(still)} never moves in {fit.fitted_on}: nothing is learned of how it "
+            "moves, and it is simulated where it stands; check the track"
+        )
     if fast:
         found.append(
             f"With the thrust held {', '.join(fast)}: a policy that pushes on leaves what was "

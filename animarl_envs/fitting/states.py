@@ -211,7 +211,7 @@ def _starts(
         held_out=np.empty(0),
     )
     np.fill_diagonal(model.stay, 0.9 if states > 1 else 1.0)
-    window = np.ones(max(round(1.0 / dt), 1))
+    window = np.ones(min(max(round(1.0 / dt), 1), len(seen)))
     found = []
     for quantity in (seen.after, change) if states > 1 else (seen.after,):
         length = np.hypot(quantity[:, 0], quantity[:, 1])

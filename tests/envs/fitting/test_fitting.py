@@ -19,6 +19,7 @@ from animarl_envs.fitting import (
     velocity_rmse,
 )
 from animarl_envs.fitting.joint import bootstrap_joint
+from animarl_envs.fitting.result import doubts
 from animarl_envs.fitting.transitions import bootstrap_onset, onset_data
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
@@ -141,12 +142,24 @@ def test_onset_fit_without_an_onset_says_so() -> None:
         refuses(words, fit_locomotion, demos, "onset", onset_threshold=threshold, split=None)
 
 
-def test_an_individual_that_never_moves_is_refused() -> None:
+@pytest.mark.parametrize("thrusts", (1, 3))
+def test_an_individual_that_never_moves_is_said_and_stands_still(thrusts: int) -> None:
     demos, _ = simulate(11, episodes=5)
     still = demos.positions.copy()
     still[:, 1] = 0.25
-    demos = Demonstrations(**{**vars(demos), "positions": still})
-    refuses(r"b has .* steps, 0 of them in motion", fit_locomotion, demos, split=None)
+    stuck = Demonstrations(**{**vars(demos), "positions": still})
+    fit = fit_locomotion(stuck, split=None, thrusts=thrusts)
+    assert fit.individuals[0] == fit_locomotion(demos, split=None, thrusts=thrusts).individuals[0]
+    own = fit.individuals[1]
+    assert (own.damping, own.damping_interval, own.velocity_rmse) == (1.0, None, 0.0)
+    actions = demonstrated_actions(stuck, fit.locomotion)[:, 1]
+    assert set(actions.tolist()) == {-1, 12 * thrusts}  # none where an episode ends, and rest
+    said = doubts(fit, stuck)
+    assert said[0].startswith("b never moves in all: nothing is learned of how it moves")
+    refuses("b has .* steps, 0 of them in motion", fit_locomotion, stuck, "noise", split=None)
+    still[:] = still[0]
+    nobody = Demonstrations(**{**vars(demos), "positions": still})
+    refuses("no individual ever moves: check", fit_locomotion, nobody, split=None)
 
 
 def test_a_single_episode_has_no_interval() -> None:

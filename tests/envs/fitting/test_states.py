@@ -69,6 +69,29 @@ def test_a_state_that_holds_hardly_a_step_is_said(two: Demonstrations, tmp_path:
     assert "a: 3 states with 1 thrust are not supported by these recordings" in output
 
 
+def test_who_never_moves_has_no_states_and_the_others_are_told(
+    two: Demonstrations, tmp_path: Path
+) -> None:
+    still = two.positions.copy()
+    still[:, 1] = 0.25
+    file = replace(two, positions=still).save(tmp_path / "still.npz")
+    given = ["fit", str(file), "--states", "1", "--thrusts", "1"]
+    output = CliRunner().invoke(app, given, catch_exceptions=False).output
+    assert "b: never moves in train, so that it has no states" in output
+    assert "a: best explained by 1 state with 1 thrust" in output
+    still[:] = still[0]
+    replace(two, positions=still).save(file)
+    refuses("no individual ever moves in train: check the tracks", animarl, *given)
+
+
+def test_states_of_an_episode_shorter_than_a_second(two: Demonstrations) -> None:
+    short = np.concatenate([np.arange(first, first + 6) for first in two.offsets[:-1]])
+    tiny = replace(two, positions=two.positions[short], lengths=np.full(len(two), 6))
+    few = [int(np.flatnonzero(two.split == split)[0]) for split in ("train", "val")]
+    (fit,), _ = compare_states(tiny.select(episodes=np.array(few)), 0, (2,), (1,))
+    assert 6 * two.dt < 1.0 and np.isfinite(fit.held_out).all()
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
