@@ -3,8 +3,8 @@
 A recipe is a section of ``zoo_configs/cloning.yml``: labels, size of the networks, whether they are
 shared, dropout, updates. Two things decide. First how exact the demonstrated actions are: how far
 the best of them misses the next recorded position under the fitted locomotion, in units of the way
-that one thrust moves the animal in a step. Programs act exactly, animals do not. Then, of exact
-ones, how many steps there are to learn from.
+that one thrust moves the animal in a step. Programs act exactly, animals do not. Then how many
+steps there are to learn from.
 """
 
 from __future__ import annotations
@@ -26,10 +26,14 @@ NEARLY = 0.1
 """Another direction misses by half a thrust or more, which is then five times as far."""
 FRAMES = 200_000
 """Of all animals, that are looked at."""
-MANY = 15_000
-"""Steps of an individual from which networks without dropout do not know them by heart."""
-EXACTLY, FEW, ALMOST, RECORDED, SEARCH = "exact", "exact-few", "nearly-exact", "recorded", "search"
-CLONINGS = (EXACTLY, FEW, ALMOST, RECORDED, SEARCH)
+FEW_EXACT, FEW_STEPS = 20_000, 35_000
+"""Steps of an individual, exact or not, below which they are soon known by heart without dropout,
+or with little."""
+SEEN_SELDOM = 200_000
+"""Steps of a recorded individual of which each is seen fewer than six times in 30 epochs."""
+EXACTLY, FEW, ALMOST, SEARCH = "exact", "exact-few", "nearly-exact", "search"
+RECORDED, FEW_RECORDED, MANY_RECORDED = "recorded", "recorded-few", "recorded-many"
+CLONINGS = (EXACTLY, FEW, ALMOST, RECORDED, FEW_RECORDED, MANY_RECORDED, SEARCH)
 """Their names."""
 
 
@@ -49,11 +53,16 @@ def choose_recipe(demos: Demonstrations) -> RecipeChoice:
     miss, steps = action_miss(demos)
     said = f"actions miss by {miss:.2g} thrusts, {steps} steps of each individual"
     if miss >= NEARLY:
-        return RecipeChoice(RECORDED, f"{said}: not exact (from {NEARLY:g})")
+        said += f": not exact (from {NEARLY:g})"
+        if steps < FEW_STEPS:
+            return RecipeChoice(FEW_RECORDED, f"{said}, few (below {FEW_STEPS})")
+        if steps < SEEN_SELDOM:
+            return RecipeChoice(RECORDED, said)
+        return RecipeChoice(MANY_RECORDED, f"{said}, many (from {SEEN_SELDOM})")
     if miss >= EXACT:
         return RecipeChoice(ALMOST, f"{said}: nearly exact (from {EXACT:g} to {NEARLY:g})")
-    if steps < MANY:
-        return RecipeChoice(FEW, f"{said}: exact (below {EXACT:g}), few (below {MANY})")
+    if steps < FEW_EXACT:
+        return RecipeChoice(FEW, f"{said}: exact (below {EXACT:g}), few (below {FEW_EXACT})")
     return RecipeChoice(EXACTLY, f"{said}: exact (below {EXACT:g})")
 
 

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.data.recipe_choice import CLONINGS, MANY, action_miss, choose_recipe
+from animarl_algos.data import recipe_choice
+from animarl_algos.data.recipe_choice import (
+    CLONINGS,
+    FEW_EXACT,
+    SEEN_SELDOM,
+    action_miss,
+    choose_recipe,
+)
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_settings import RunSettings
@@ -19,7 +26,7 @@ from animarl_envs.errors import InputError
 
 PACKAGED = {
     "agent": "exact", "fly": "nearly-exact", "newt": "nearly-exact", "silkmoth": "search",
-    "solo": "recorded",
+    "solo": "recorded-few", "shoal": "recorded-few",
 }  # fmt: skip
 
 
@@ -41,7 +48,7 @@ def shaken(demos: Demonstrations, by: float) -> Demonstrations:
 def test_the_recipe_that_is_chosen_for_packaged_demonstrations(species: str) -> None:
     name = choose_recipe(load_packaged(species)).name
     assert name == PACKAGED[species]
-    if species != "solo":  # without demonstrations it is the same
+    if name != "recorded-few":  # without demonstrations it is the same
         chosen = learner_preset("soft-bc", environment_id(species), cloning=name)
         assert chosen == learner_preset("soft-bc", environment_id(species))
 
@@ -53,9 +60,36 @@ def test_a_strangers_agents_get_the_recipe_that_is_chosen_for_agents() -> None:
     assert choose_recipe(digits).name in ("exact", "nearly-exact")
     few = strangers(agents, 100)
     found = choose_recipe(few)
-    assert found.name == "exact-few" and action_miss(few)[1] < MANY
-    assert f"few (below {MANY})" in found.reason
-    assert choose_recipe(shaken(few, 0.02)).name == "recorded"
+    assert found.name == "exact-few" and action_miss(few)[1] < FEW_EXACT
+    assert f"few (below {FEW_EXACT})" in found.reason
+    assert choose_recipe(shaken(few, 0.02)).name == "recorded-few"
+
+
+def test_steps_of_recorded_animals_decide_on_dropout_and_epochs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    some = shaken(strangers(load_packaged("agent"), 40), 0.02)
+    steps = action_miss(some)[1]
+    monkeypatch.setattr(recipe_choice, "FEW_STEPS", steps)
+    monkeypatch.setattr(recipe_choice, "SEEN_SELDOM", steps + 1)
+    assert recipe_choice.choose_recipe.__wrapped__(some).name == "recorded"
+    monkeypatch.setattr(recipe_choice, "SEEN_SELDOM", steps)
+    found = recipe_choice.choose_recipe.__wrapped__(some)
+    assert found.name == "recorded-many" and f"many (from {steps})" in found.reason
+    monkeypatch.undo()
+    few, plain, many = (
+        learner_preset("soft-bc", "AnimaRL/Custom-v0", cloning=name)
+        for name in ("recorded-few", "recorded", "recorded-many")
+    )
+    assert few.env_kwargs == plain.env_kwargs == many.env_kwargs
+    told = [one.arguments["policy_kwargs"] for one in (few, plain, many)]
+    assert [one.pop("dropout") for one in told] == [0.3, 0.1, 0.0]
+    assert few.arguments == plain.arguments
+    assert many.arguments == plain.arguments | {"offline_epochs": 60}
+    # of many steps each is seen fewer than six times by the plain recipe
+    drawn = plain.arguments["offline_kwargs"]["updates_per_epoch"]
+    drawn *= plain.arguments["offline_epochs"] * plain.arguments["offline_batch_size"]
+    assert drawn < 6 * SEEN_SELDOM
 
 
 def test_what_was_chosen_stands_in_the_run(tmp_path: Path) -> None:
@@ -84,4 +118,4 @@ def test_what_was_chosen_stands_in_the_run(tmp_path: Path) -> None:
 def test_a_recipe_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="cloning is 'exactly': choose among chosen, exact, exac"):
         RunSettings(species="fly", steps=1, cloning="exactly")
-    assert len(set(CLONINGS)) == 5
+    assert len(set(CLONINGS)) == 7
