@@ -45,7 +45,7 @@ def _homes() -> dict[str, str]:
     others = {
         "EvaluateIndividuals": "learner.callbacks",
         "SlotVecEnv": "data.vec_env",
-        "evaluate": "evaluation.tables",
+        "evaluate": "evaluation.comparison",
         "evaluate_individuals": "learner.callbacks",
         "load_run": "runs.pretrained",
         "load_pretrained": "runs.pretrained",

@@ -94,7 +94,7 @@ def test_benchmark_measures_rollouts_against_their_own_starts(
 def test_recordings_are_not_told_from_themselves(rows: dict[str, pd.DataFrame]) -> None:
     """Over all folds the same episodes stand on both sides, and the sides could be learned."""
     area = rows["recordings"].loc["auc"]
-    assert area["null"] == area["high"]
+    assert np.array_equal(area["null"], area["high"], equal_nan=True)  # of so few: no interval
     assert 0.35 < area["value"] < 0.65
 
 

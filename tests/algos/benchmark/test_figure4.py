@@ -14,6 +14,7 @@ from scipy import stats
 
 from animarl_algos.benchmark.matrix import plan, read_matrix
 from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.report.words import Words
 from benchmarks import figure4
 from benchmarks.figure4 import kde_distance
 
@@ -30,7 +31,7 @@ def test_what_stands_still_is_farther_from_the_recordings_than_what_repeats_them
     assert far[figure4.LESS_THAN_BC] == ""
     assert near[f"{figure4.KDE_DURATION}: paper"] == "0.811 [0.687, 0.935]"
     panels = figure4.draw({"agent": metrics}).axes
-    assert [panel.get_ylabel() for panel in panels] == [m.axis for m in figure4.SHOWN]
+    assert [panel.get_ylabel() for panel in panels] == [Words().axis(m) for m in figure4.SHOWN]
 
 
 def test_an_unfinished_benchmark_is_one_sentence(tmp_path: Path) -> None:
