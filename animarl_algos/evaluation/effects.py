@@ -160,12 +160,10 @@ class _Effects:
                 found[BLIND] = 1 - c, "it acts without chance: asked twice, it does the same"
             for quantity, (told, data) in found.items():
                 yield self.row(name, quantity, c, told, counting, data, one.main)
-        if one.accuracy:
-            mean = Interval(
-                float(np.mean([*one.accuracy.values()])), reason="no interval is worked out"
-            )
-            data = single_cells(np.array([*one.accuracy.values()])[:, None])
-            yield self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
+        accuracy = np.array([*one.accuracy.values()])[:, None]
+        data = single_cells(accuracy) if len(accuracy) else "it has no treatment head"
+        mean = None if isinstance(data, str) else Interval(data.mean, reason="no interval")
+        yield self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
 
     def claim_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
         """Only over all episodes: what counts among captures depends on what is asked."""

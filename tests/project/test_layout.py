@@ -73,7 +73,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 1_895,
     "animarl_algos.cli": 2_552,
     "animarl_algos.data": 1_111,
-    "animarl_algos.evaluation": 5_152,
+    "animarl_algos.evaluation": 5_150,
     "animarl_algos.learner": 3_109,
     "animarl_algos.losses": 618,
     "animarl_algos.networks": 1_790,

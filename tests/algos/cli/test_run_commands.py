@@ -303,7 +303,7 @@ def test_shifts_have_their_truth(
         & (table["counting"] == "all") & (table["method"] == "DQCIL-PT")
     ].iloc[0]  # fmt: skip
     assert row["value"] == pytest.approx(true.mean()) and row["planned"]
-    assert row["value_low"] <= row["value"] <= row["value_high"]
+    assert row["low"] <= row["value"] <= row["high"]
     accuracy = table[table["quantity"] == "treatment accuracy"].set_index("method")["value"]
     assert 0 <= accuracy["DQCIL-PT"] <= 1 and np.isnan(accuracy["DQDIL-PT"])
     assert set(table["variant"].dropna()) == {"main"}
