@@ -24,6 +24,8 @@ from typing import Any
 
 import numba as nb
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.misc import appdirs
 
@@ -83,10 +85,66 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 def part(function: Callable[..., Any]) -> Any:
     """Compile a part of a kernel, which Python never calls."""
-    made = jit(function, forceinline=True, cache=False, no_cpython_wrapper=True)
+    return _inlined(function, PartCompiler)
+
+
+def joint(function: Callable[..., Any]) -> Any:
+    """Compile a part that does little but call others: those are optimised, and it is not."""
+    return _inlined(function, JointCompiler)
+
+
+def _inlined(function: Callable[..., Any], compiler: type[PartCompiler]) -> Any:
+    options = {"forceinline": True, "cache": False, "no_cpython_wrapper": True}
+    made = jit(function, pipeline_class=compiler, **options)
     if not _SETTINGS.DISABLE_JIT:
         made.__class__ = PartDispatcher
     return made
+
+
+class PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Optimised code to be inlined; machine code is made of the kernels that it goes into."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """There is no machine code to point to."""
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        return 0
+
+    @property
+    def codegen(self) -> PartLibrary:
+        """Where numba puts the part's environment."""
+        return self
+
+    def set_env(self, env_name: str, env: object) -> None:
+        """Keep nothing: what needs an environment, such as printing, has no place in a part."""
+
+
+class JointLibrary(PartLibrary):
+    """Code to be inlined whose parts are optimised already."""
+
+    def _optimize_final_module(self) -> None:
+        """Leave it to the kernel."""
+
+
+class PartCompiler(Compiler):  # type: ignore[misc]
+    """Compiles a part as far as its kernel needs it."""
+
+    library: type[PartLibrary] = PartLibrary
+
+    def define_pipelines(self) -> Any:
+        """Return numba's own, with a library that makes no machine code."""
+        codegen = self.state.targetctx.codegen()
+        self.state.library = self.library(codegen, self.state.func_id.func_qualname)
+        return super().define_pipelines()  # type: ignore[no-untyped-call]
+
+
+class JointCompiler(PartCompiler):
+    """Compiles what calls parts."""
+
+    library = JointLibrary
 
 
 class PartDispatcher(CPUDispatcher):  # type: ignore[misc]

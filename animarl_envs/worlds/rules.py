@@ -67,12 +67,14 @@ def decide(  # type: ignore[no-untyped-def]
     first_pursuer, end = (last, K) if lone else (0, last)
     square = size * size
     steps = np.ceil(np.sqrt(size / thrust[i]) / dt)
-    cost, lowest = np.empty(B), np.full(B, math.inf)
-    own = np.empty((LOOKS, 2))
+    cost, lowest = np.empty(B), np.empty(B)
+    for b in range(B):
+        lowest[b] = math.inf
+    own = np.empty((LOOKS, 2))  # written number by number: rows take numba seconds to compile
     theirs = np.empty((LOOKS, end - first_pursuer, 2, B))  # where each pursuer will be
     for look in range(LOOKS):
         until = max(1.0, np.floor((look + 1) * steps / LOOKS))
-        own[look] = _reach(damping[i], thrust[i], dt, until)
+        own[look, 0], own[look, 1] = _reach(damping[i], thrust[i], dt, until)
         for j in range(first_pursuer, end):
             carried, pushed = _reach(damping[j], thrust[j], dt, until)
             for b in range(B):
@@ -89,7 +91,7 @@ def decide(  # type: ignore[no-untyped-def]
         for b in range(B):
             cost[b] = 0.0
         for look in range(LOOKS):
-            carried, pushed = own[look]
+            carried, pushed = own[look, 0], own[look, 1]
             for b in range(B):
                 x = position[i, 0, b] + carried * velocity[i, 0, b]
                 y = position[i, 1, b] + carried * velocity[i, 1, b]

@@ -17,7 +17,7 @@ from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import jit, joint, part
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
@@ -165,7 +165,7 @@ def advance(asked, moving, state):  # type: ignore[no-untyped-def]
 # -- moving ---------------------------------------------------------------------------------------
 
 
-@part
+@joint
 def drive(  # type: ignore[no-untyped-def]
     drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field, lone
 ):
@@ -246,7 +246,7 @@ def replay(  # type: ignore[no-untyped-def]
 # -- ending and paying ----------------------------------------------------------------------------
 
 
-@part
+@joint
 def _end(free, state):  # type: ignore[no-untyped-def]
     if free is None:
         judge(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.checks import FocusRule, focus_rule
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import jit, joint, part
 from animarl_envs.focus import COURSE, FALLBACK, aim, averaged
 from animarl_envs.species import COMPACT, ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
@@ -99,7 +99,7 @@ def branches_of(species: ChaseSpecies) -> tuple[bool | None, bool | None, bool |
     return species.free or None, species.has_headings or None, full or None
 
 
-@part
+@joint
 def observe(  # type: ignore[no-untyped-def]
     position, velocity, acceleration, past, steps, towards, bodies, neighbours, senses, free,
     headed, full, observation,

@@ -185,13 +185,16 @@ def sense(  # type: ignore[no-untyped-def]
     """Update the odour signals and write the observation into ``out[:, column]``.
 
     ``push_x`` and ``push_y`` led here, in multiples of the thrust; zero in a first frame.
+
+    Arrays of ``body`` have no names of their own here, and the traits are written in a loop, not
+    under a condition: numba would count references to the arrays in every copy, which takes as
+    long as the rest of a step.
     """
-    odour, trace = body.odour, body.trace
     base = senses.baseline
-    odour[0, b] = 1.0 if hit_left else base + (odour[0, b] - base) * senses.remains
-    odour[1, b] = 1.0 if hit_right else base + (odour[1, b] - base) * senses.remains
-    trace[0, b] = 1.0 if hit_left else trace[0, b] * senses.trace_remains
-    trace[1, b] = 1.0 if hit_right else trace[1, b] * senses.trace_remains
+    body.odour[0, b] = 1.0 if hit_left else base + (body.odour[0, b] - base) * senses.remains
+    body.odour[1, b] = 1.0 if hit_right else base + (body.odour[1, b] - base) * senses.remains
+    body.trace[0, b] = 1.0 if hit_left else body.trace[0, b] * senses.trace_remains
+    body.trace[1, b] = 1.0 if hit_right else body.trace[1, b] * senses.trace_remains
     if out.shape[0] == ODOUR:
         out[0, column] = 1.0 if hit_left else 0.0
         out[1, column] = 1.0 if hit_right else 0.0
@@ -199,8 +202,8 @@ def sense(  # type: ignore[no-untyped-def]
         out[Seen.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
         out[Seen.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
         out[Seen.BODY_ANGLE, column] = body.angle[b]
-        out[Seen.ODOUR_LEFT, column] = odour[0, b]
-        out[Seen.ODOUR_RIGHT, column] = odour[1, b]
+        out[Seen.ODOUR_LEFT, column] = body.odour[0, b]
+        out[Seen.ODOUR_RIGHT, column] = body.odour[1, b]
         _sense_air(b, condition, senses, body, out, column)
     if out.shape[0] > PAPER:
         out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
@@ -209,9 +212,8 @@ def sense(  # type: ignore[no-untyped-def]
         _sense_more(b, velocity_x, velocity_y, senses, body, out, column)
         out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
         out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
-    if out.shape[0] > ALIKE:
-        out[Seen.OWN_SPEED, column] = body.traits[0, b]
-        out[Seen.OWN_TURNING, column] = body.traits[1, b]
+    for k in range(ALIKE, out.shape[0]):
+        out[k, column] = body.traits[k - ALIKE, b]
 
 
 @part
