@@ -153,29 +153,19 @@ class DTWTracker:
     """Follows the episodes of a world and keeps one DTW row per copy and individual.
 
     Put into ``world.trackers``: the world tells it when episodes start and when a step is done, so
-    that a copy's rows are reset with that copy, whoever resets it.
+    that a copy's rows are reset with that copy, whoever resets it. ``demos`` are what the world's
+    episodes are paired with, ``individuals`` the indices of the ``F`` that are followed; at the
+    cost ``scale``, the species' contact radius [arena unit], closeness falls to 1/e.
 
     Raises InputError if there are no demonstrations, or no such penalty.
-
-    Parameters
-    ----------
-    demos
-        What the world's episodes are paired with.
-    num_copies, individuals
-        The world's copies, and the indices of the ``F`` individuals that are followed.
-    scale
-        A cost at which closeness falls to 1/e, the species' contact radius [arena unit].
-    kind
-        ``"closeness"``, ``"increment"`` or ``"cumulative"``; see the head of this module.
 
     Attributes
     ----------
     penalty
         ``(B, F)``, what the last step is charged, before weighting.
-    row_minimum
-        ``(B, F)``, ``min_j W(t, j)`` [arena unit].
-    aligned
-        ``(B, F)``, the recorded step aligned with the present one, its ``argmin``.
+    row_minimum, aligned
+        ``(B, F)``: ``min_j W(t, j)`` [arena unit], and its ``argmin``, the recorded step aligned
+        with the present one.
     final_minimum, final_aligned
         The two as they were after the last step, also where a copy has been reset since.
     """

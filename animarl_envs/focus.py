@@ -96,23 +96,13 @@ def focus_directions(
     dt: float = 1.0,
     rule: str = "course",
 ) -> NDArray[np.float64]:
-    """Unit vectors towards the focus of each individual.
+    """Unit vectors towards the focus of each individual, ``(..., individuals, 2)``, arena frame.
 
-    That of a free animal follows a ``rule`` (:func:`animarl_envs.checks.focus_rule`). Its
-    course is told from its ``velocities``, the ``steps`` since the start and their duration ``dt``
-    [s]; without them it has not moved yet.
-
-    Parameters
-    ----------
-    positions
-        ``(..., individuals, 2)``, arena frame [arena unit].
-    roles
-        ``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual; the target comes last,
-        or a pursuer of several targets (:func:`lone_pursuer`).
-
-    Returns
-    -------
-    ``(..., individuals, 2)``, arena frame; ``FALLBACK`` where the distance is zero.
+    ``positions`` are ``(..., individuals, 2)`` [arena unit]; of ``roles`` the target comes last, or
+    a pursuer of several targets (:func:`lone_pursuer`). The focus of a free animal follows a
+    ``rule`` (:func:`animarl_envs.checks.focus_rule`). Its course is told from its ``velocities``,
+    the ``steps`` since the start and their duration ``dt`` [s]; without them it has not moved yet.
+    Where the distance is zero the direction is ``FALLBACK``.
     """
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     out = np.empty_like(points)

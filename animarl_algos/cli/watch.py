@@ -170,19 +170,12 @@ def prepare(
 ) -> tuple[World, Actor]:
     """Return the world of an environment id with one copy, and who acts in it.
 
-    Raises InputError if the id is unknown or none of this suite, an option is not valid, or the
-    model has no trained policy, or one of another species or of other individuals.
-
-    Parameters
-    ----------
-    env
-        Id of an environment made of a species; None: that of the model.
-    model, focal, by, seed, acting
-        As for :func:`watch_command`.
-    replayed
-        Whether all individuals of the model's world follow its recordings.
-    options
-        Of :func:`animarl_envs.scenario.make_scenario`; they win over those of the id.
+    ``env`` is the id of an environment made of a species; None: that of the model. ``replayed``
+    says whether all individuals of the model's world follow its recordings. ``options`` are those
+    of :func:`animarl_envs.scenario.make_scenario`, which win over those of the id; others as for
+    :func:`watch_command`. Raises InputError if the id is unknown or none of this suite, an option
+    is not valid, or the model has no trained policy, or one of another species or of other
+    individuals.
     """
     run = None if model is None else _load_run(model, acting)
     if env is None:

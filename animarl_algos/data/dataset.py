@@ -54,38 +54,21 @@ class OfflineDataset:
 
     Parameters
     ----------
-    observations
-        ``(frames, K, n)``.
-    actions
-        ``(frames, K)`` integer, the demonstrated actions; -1 at each last frame.
-    lengths
-        ``(episodes,)``, frames per episode.
-    num_actions
-        Number of actions.
-    rewards
-        ``(frames, K)``; ``None``: zeros.
-    action_penalties
-        ``(frames, K, num_actions)``, what each action would have been penalised with.
-    label_shares
-        ``(frames, K, num_actions)``, soft labels; ``None``: the demonstrated action is the label.
+    observations, actions, rewards
+        ``(frames, K, n)``, ``(frames, K)`` integer, -1 at each last frame, and ``(frames, K)``, by
+        default zeros.
+    lengths, terminated, condition
+        ``(episodes,)``: frames; whether the last step terminated it, by default none did, so that
+        the last step of each bootstraps; 0 or 1.
+    action_penalties, label_shares
+        ``(frames, K, num_actions)``: what each action would have been penalised with, and soft
+        labels; by default the demonstrated action is the label.
     mirror
         Its mirror image is as likely as what was recorded: half of the windows are mirrored.
-    terminated
-        ``(episodes,)`` bool, the last step terminated the episode; ``None``: none did, so that the
-        last step of each bootstraps.
-    condition
-        ``(episodes,)``; ``None``: 0.
     warmup
-        ``(frames,)`` bool, steps that enter no loss; ``None``: none.
+        ``(frames,)`` bool, steps that enter no loss.
     names
-        Names of the individuals; they enter the shuffling. Default ``individual_0`` and so on.
-    source
-        For messages: where the demonstrations come from.
-
-    Attributes
-    ----------
-    individuals
-        The ``names`` that were given, ``None`` if none were: whose demonstrations they are.
+        Of the individuals; they enter the shuffling. ``individuals`` are the names that were given.
     """
 
     def __init__(

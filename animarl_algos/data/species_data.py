@@ -69,32 +69,17 @@ def soft_labels(
 class SpeciesDemonstrations:
     """The two splits that training may see, in the terms of a species.
 
-    Parameters
-    ----------
-    species
-        Its locomotion parameters infer the actions and score them all. Of animals that take left
-        for right half of the windows are mirrored.
-    demos
-        With their splits.
-    learners
-        Names of the individuals to learn.
-    condition_flag
-        Whether the condition is the last observation component.
-    labels
-        ``"hard"``, ``"soft"`` or ``"tracking"``; see :class:`Labels`.
-    label_width
-        Of soft labels, in units of the thrust; see :func:`soft_labels`.
-    label_horizon
-        Of tracking labels [steps]; see :func:`animarl_envs.fitting.tracking.track`.
+    Its locomotion parameters infer the actions and score them all. Of animals that take left for
+    right half of the windows are mirrored.
     """
 
     species: Species
-    demos: Demonstrations
-    learners: tuple[str, ...]
-    condition_flag: bool = False
+    demos: Demonstrations  # with their splits
+    learners: tuple[str, ...]  # names of the individuals to learn
+    condition_flag: bool = False  # the condition is the last observation component
     labels: str = Labels.HARD
-    label_width: float = 0.35
-    label_horizon: float = 1.0
+    label_width: float = 0.35  # of soft labels, in units of the thrust; see :func:`soft_labels`
+    label_horizon: float = 1.0  # of tracking labels [steps]; see ``fitting.tracking.track``
 
     @cached_property
     def train(self) -> OfflineDataset:
@@ -113,10 +98,7 @@ class SpeciesDemonstrations:
     def check_memory(self) -> None:
         """Refuse demonstrations whose labels do not fit the memory; it is not taken yet.
 
-        Raises
-        ------
-        InputError
-            With how much they take.
+        Raises InputError with how much they take.
         """
         demos, species = self.demos, self.species
         components, free = len(observation_components(species)), available_memory()

@@ -45,16 +45,12 @@ Sections = dict[str, dict[str, dict[str, Any]]]
 
 @dataclass(frozen=True)
 class LearnerPreset:
-    """A learner's settings in one environment.
+    """A learner's settings in one environment."""
 
-    ``n_timesteps`` are steps of the world, ``n_envs`` its copies, ``env_kwargs`` its options in
-    training, and ``arguments`` those of the algorithm, which :func:`constructed` completes.
-    """
-
-    n_timesteps: int
-    n_envs: int
-    env_kwargs: dict[str, Any]
-    arguments: dict[str, Any]
+    n_timesteps: int  # of the world
+    n_envs: int  # its copies
+    env_kwargs: dict[str, Any]  # its options in training
+    arguments: dict[str, Any]  # of the algorithm, which :func:`constructed` completes
 
 
 def learner_preset(
@@ -66,24 +62,11 @@ def learner_preset(
     config: str | Path | None = None,
     cloning: str | None = None,
 ) -> LearnerPreset:
-    """The settings of ``algo`` in an environment, ``overrides`` over those of the file.
+    """The settings of ``algo``, such as ``qr-dqcil-pt``, in an environment (its Gymnasium id).
 
-    Raises InputError if there is no such preset, a key is unknown, or a value is of the wrong kind.
-
-    Parameters
-    ----------
-    algo
-        Name of a recipe, such as ``qr-dqcil-pt``.
-    env_id
-        Gymnasium id.
-    preset
-        ``"paper"`` or ``"default"``.
-    overrides
-        Settings that go over the file's.
-    config
-        A file of the same format to read instead of ``zoo_configs/<algo>.yml``.
-    cloning
-        Section of ``cloning.yml``, by default that of the environment.
+    ``overrides`` go over those of the file: ``config``, by default ``zoo_configs/<algo>.yml``.
+    ``cloning`` is a section of ``cloning.yml``, by default that of the environment. Raises
+    InputError if there is no such preset, a key is unknown, or a value is of the wrong kind.
     """
     file = algo if config is None else Path(config)
     found, listed = read_preset(file, env_id, preset, cloning=cloning)
@@ -123,17 +106,10 @@ def constructor_settings(
 ) -> dict[str, Any]:
     """All settings of a learner made in Python: those ``given``, over those of preset ``default``.
 
-    Raises InputError if a setting is unknown.
-
-    Parameters
-    ----------
-    plain, pretrained
-        Names of the learner's files: as it is, and, if it has one, for ``offline_epochs`` above 0.
-    env
-        What it learns in: its species has a section of its own, and so have a few ordinary tasks,
-        which holds for the policy that it names alone.
-    given
-        Settings by name; a table goes over the preset's key by key, and None empties it.
+    ``plain`` and ``pretrained`` name the learner's files: as it is, and, if it has one, for
+    ``offline_epochs`` above 0. The species of ``env`` has a section of its own, and so have a few
+    ordinary tasks, which holds for the policy that it names alone. A table in ``given`` goes over
+    the preset's key by key, and None empties it. Raises InputError if a setting is unknown.
     """
     section = section_of(env)
     settings = constructed(learner_preset(plain, section).arguments)
@@ -155,10 +131,7 @@ def constructor_settings(
 def section_of(env: Any) -> str:
     """Return the environment id under which files speak of ``env``: its species', or its own.
 
-    Parameters
-    ----------
-    env
-        An id, an environment, a VecEnv, or None.
+    ``env`` is an id, an environment, a VecEnv, or None.
     """
     if isinstance(env, str):
         return env
@@ -241,15 +214,9 @@ def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]
 def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[list[str], Sections]:
     """Return the names of the base files, and section -> preset -> settings, every key checked.
 
-    Raises InputError if there is no such file, or it is not of this form; the sentence names the
-    place.
-
-    Parameters
-    ----------
-    config
-        Name of a file of ``zoo_configs`` without its suffix, or the path of one.
-    model
-        What a section may say.
+    ``config`` is the name of a file of ``zoo_configs`` without its suffix, or the path of one;
+    ``model`` is what a section may say. Raises InputError if there is no such file, or it is not of
+    this form; the sentence names the place.
     """
     file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
     name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"

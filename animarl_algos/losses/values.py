@@ -30,15 +30,7 @@ def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
         sum over i, mean over j of |tau_i - 1(delta_ij < 0)| huber(delta_ij)
         delta_ij = target_j - current_i,  tau_i = (i + 1/2) / quantiles
 
-    Parameters
-    ----------
-    current : Tensor (..., quantiles)
-    target : Tensor (..., target quantiles)
-        The leading axes are those of ``current``. It gets no gradient.
-
-    Returns
-    -------
-    Tensor (...)
+    ``current`` is ``(..., quantiles)``; ``target`` ``(..., target quantiles)`` gets no gradient.
     """
     if not current.is_cpu:
         return quantile_huber_definition(current, target.detach())
@@ -119,19 +111,12 @@ def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class ValueDistribution:
-    """What is learned about an action.
+    """What is learned about an action."""
 
-    Parameters
-    ----------
-    n_quantiles
-        Quantiles of the return per action (Dabney et al. 2018), 2 or more; None: its expected
-        value.
-    loss
-        Of an expected value's error: squared (the paper's), or by Huber's with threshold 1
-        (stable-baselines3's); quantiles have their own, :func:`quantile_huber`.
-    """
-
+    # Quantiles of the return (Dabney et al. 2018), 2 or more; None: its expected value.
     n_quantiles: int | None = None
+    # Of an expected value's error: squared (the paper's), or Huber's with threshold 1
+    # (stable-baselines3's); quantiles have their own, :func:`quantile_huber`.
     loss: Literal["squared", "huber"] = "squared"
 
     def td_loss(

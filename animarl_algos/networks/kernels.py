@@ -155,18 +155,10 @@ def gru(
 ) -> torch.Tensor:
     """Hidden states (K, row, H) of K GRUs over packed sequences, float32 on the CPU.
 
-    Parameters
-    ----------
-    inputs : Tensor (K, row, I)
-    state : Tensor (K, batch, H)
-        Before the first step.
-    weights
-        Of input and state, (K, I, 3H) and (K, H, 3H), then the biases, (K, 1, 3H); the gates are in
-        the order r, z, n.
-    active : ndarray (steps,)
-        Rows computed at each step.
-    previous : Tensor (rows - active[0],), optional
-        Row of the step before, for rows from the second step on; None where all rows are computed.
+    ``inputs`` are (K, row, I), ``state`` (K, batch, H) before the first step; ``weights`` of input
+    and state are (K, I, 3H) and (K, H, 3H), then the biases (K, 1, 3H), gates in the order r, z, n.
+    ``active`` (steps,) are the rows computed at each step; ``previous`` (rows - active[0],) is the
+    row of the step before, for rows from the second step on, None where all rows are computed.
     """
     hidden: torch.Tensor = _GRU.apply(inputs, state, *weights, active, previous)  # type: ignore[no-untyped-call]
     return hidden

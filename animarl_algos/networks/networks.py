@@ -155,30 +155,14 @@ class QOutput:
 class StackedQNetwork(nn.Module):
     """Recurrent (or feed-forward) dueling Q-networks, one per named individual.
 
-    Parameters
-    ----------
-    individuals
-        Names, distinct. An individual's initial weights depend on its name and the seed only.
-    observation_size
-        Components of one flattened observation, the treatment flag included where there is one.
-    num_actions
-        Discrete actions; as a previous action, ``num_actions`` stands for "none yet".
-    recurrent
-        False leaves the GRU out; the state is then passed through untouched.
-    condition_flag
-        Whether the last observation component is the condition flag.
-    treatment_head
-        Whether to predict the treatment through gradient reversal (DQCIL).
-    seed
-        Of the initial weights.
-    settings
-        Those of :class:`NetworkSettings`.
-
-    Attributes
-    ----------
-    input_mean, input_sd : Tensor (K, 1, n)
-    input_limit : Tensor (K, 1, 1)
-        Buffers, saved with the weights; see :meth:`standardise_inputs`.
+    An individual's initial weights depend on its (distinct) name and the ``seed`` only.
+    ``observation_size`` counts components of one flattened observation, the condition flag
+    included: the last one, where there is a ``condition_flag``. As a previous action,
+    ``num_actions`` stands for "none yet". Not ``recurrent``, there is no GRU and the state is
+    passed through untouched. ``treatment_head``: predict the treatment through gradient reversal
+    (DQCIL). ``settings`` are those of :class:`NetworkSettings`. Buffers, saved with the weights,
+    are ``input_mean`` and ``input_sd`` ``(K, 1, n)`` and ``input_limit`` ``(K, 1, 1)``; see
+    :meth:`standardise_inputs`.
     """
 
     input_mean: torch.Tensor
@@ -319,19 +303,12 @@ class StackedQNetwork(nn.Module):
         packing: Packing | None = None,
         masks: torch.Tensor | None = None,
     ) -> QOutput:
-        """Run whole sequences.
+        """Run whole sequences: observations ``(K, T, B, n)``, previous actions ``(K, T, B)`` int64.
 
-        Parameters
-        ----------
-        observations : Tensor (K, T, B, n)
-        previous_actions : Tensor (K, T, B) int64
-            Action taken before each observation; ``num_actions`` for none.
-        state : Tensor (K, B, H), optional
-            Hidden state before the first step; zeros by default.
-        packing : Packing, optional
-            Rows to compute; by default all.
-        masks : Tensor (layers, K, B, H), optional
-            Factors of hidden units, for training (:class:`.layers.DropoutDraws`); by default none.
+        A previous action is the one taken before each observation, ``num_actions`` for none.
+        ``state`` ``(K, B, H)`` is that before the first step, by default zeros; ``packing`` says
+        which rows to compute, by default all; ``masks`` ``(layers, K, B, H)`` are factors of hidden
+        units, for training (:class:`.layers.DropoutDraws`).
         """
         _, time, batch, _ = observations.shape
         if packing is None:

@@ -100,14 +100,8 @@ def _recording_names(parts: Sequence[Demonstrations]) -> list[Mapping[str, str]]
 def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrations:
     """The recordings of the first ``count`` individuals of a role and of all others.
 
-    An episode that ended by the contact of one who is left out is unfinished.
-
-    Raises InputError if fewer were recorded.
-
-    Parameters
-    ----------
-    option
-        One of :data:`COUNTS`, which names the role.
+    ``option``, of :data:`COUNTS`, names the role. An episode that ended by the contact of one who
+    is left out is unfinished. Raises InputError if fewer were recorded.
     """
     role = COUNTS[option]
     recorded = demos.roles.count(role)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import option
+from animarl_envs.checks import check_options, option
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
@@ -24,9 +24,8 @@ FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt t
 class Splitting:
     """How episodes are dealt to train, val and test.
 
-    ``by``: ``"recording"`` (episodes of a recording stay together), ``"episode"``, ``"group"``
-    (recordings whose name gives the same first group of the regular expression ``pattern``), or
-    ``"auto"``: by recording if there are at least three, else by episode.
+    By ``"group"``: recordings whose name gives the same first group of the regular expression
+    ``pattern``; ``"auto"``: by recording if there are at least three, else by episode.
     """
 
     by: Literal["auto", "recording", "episode", "group"] = option(
@@ -41,10 +40,7 @@ class Splitting:
         object.__setattr__(self, "fractions", fractions)
         if len(fractions) != 3 or min(fractions) < 0 or not math.isclose(sum(fractions), 1):
             raise InputError(f"fractions are {fractions}: give three that add up to 1")
-        if self.by not in {"auto", "recording", "episode", "group"}:
-            raise InputError(
-                f"splitting by {self.by!r} is unknown: choose auto, recording, episode or group"
-            )
+        check_options(self)
         if self.seed < 0:
             raise InputError(f"the seed of the splits is {self.seed}: give zero or more")
         if (self.by == "group") != (self.pattern is not None):

@@ -96,20 +96,12 @@ def _middle(points: Points) -> tuple[Points, float]:
 
 
 class Renderer:
-    """Draws scenes.
+    """Draws scenes, ``size`` pixels wide; a strip of text stands below the field.
 
+    ``mode`` ``"rgb_array"``: :meth:`draw` returns an array and needs no display. ``"human"``: it
+    shows the picture in a window and waits so that at most ``fps`` pictures a second are shown.
     Raises MissingExtraError if pygame-ce is not installed. Raises InputError if a value is out of
     range, or a window is wanted where there is no display.
-
-    Parameters
-    ----------
-    mode
-        ``"rgb_array"``: :meth:`draw` returns an array and needs no display. ``"human"``: it shows
-        the picture in a window and waits so that at most ``fps`` pictures a second are shown.
-    size
-        Width of the picture, and height of the field in it [px]; a strip of text stands below.
-    fps
-        Frames per second of the window.
     """
 
     def __init__(self, mode: str, size: int = SIZE, fps: float = 10.0) -> None:
@@ -479,13 +471,6 @@ class Pictures:
         blank = [_blank(drawn[0]) for _ in range(self.num_copies - len(drawn))] if drawn else []
         return drawn + blank
 
-    def grid(self) -> NDArray[np.uint8]:
-        """Return one picture of all copies that are drawn, in rows."""
-        drawn = self.draw()[:MOST_DRAWN]
-        drawn += [_blank(drawn[0])] * (-len(drawn) % self.columns)
-        rows = [drawn[k : k + self.columns] for k in range(0, len(drawn), self.columns)]
-        return np.concatenate([np.concatenate(row, axis=1) for row in rows])
-
     def close(self) -> None:
         """Close the window, if any."""
         if self._renderer is not None:
@@ -504,19 +489,11 @@ GIF_COLOURS = 128  # of each frame
 
 
 def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float = 10.0) -> Path:
-    """Write pictures as an animated ``.gif`` or an ``.mp4`` (H.264).
+    """Write pictures ``(height, width, 3)`` uint8, all alike, as a ``.gif`` or an ``.mp4`` (H.264).
 
-    Raises InputError: for another suffix, an impossible ``fps`` or no frames at all. Raises
-    MissingExtraError if imageio, or ffmpeg for an mp4, is not installed.
-
-    Parameters
-    ----------
-    frames
-        Pictures ``(height, width, 3)`` uint8, all of one shape; taken one by one.
-    path
-        Where to; the file appears when it is complete.
-    fps
-        Frames per second; a gif keeps time in hundredths of a second.
+    They are taken one by one, and the file appears when it is complete; a gif keeps time in
+    hundredths of a second. Raises InputError: for another suffix, an impossible ``fps`` or no
+    frames at all. Raises MissingExtraError if imageio, or ffmpeg for an mp4, is not installed.
     """
     path = Path(path)
     suffix = path.suffix.lower()

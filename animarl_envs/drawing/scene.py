@@ -20,43 +20,21 @@ GLOW_RATE = 20.0  # instants of the plume per second that the picture unites [Hz
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """One moment of one episode, arena frame, K individuals.
+    """One moment of one episode, arena frame, K individuals."""
 
-    Parameters
-    ----------
-    species
-        Gives the arena, and what everybody is called and looks like.
-    positions, headings
-        ``(K, 2)`` [arena unit] and ``(K,)``, counter-clockwise from x [rad].
-    trails
-        ``(t, K, 2)``, positions so far, oldest first; t may be 0.
-    rewards
-        ``(K,)``, shown beside the names; the views give the return of the episode so far.
-    condition, note, title
-        Text: the experimental condition, how the episode ended, and what stands in place of the
-        species' title.
-    step
-        Decisions taken.
-    unit
-        Of the scale bar.
-    plume, antennae, odour
-        Optional: an odour field; positions ``(2, 2)`` of a searcher's left and right antenna and
-        what they smell ``(2,)`` in [0, 1].
-    """
-
-    species: Species
-    positions: NDArray[np.floating]
-    headings: NDArray[np.floating]
-    trails: NDArray[np.floating]
-    rewards: NDArray[np.floating]
-    condition: str = ""
-    note: str = ""
-    title: str = ""
-    step: int = 0
-    unit: Unit = RECORDED_SCALE
+    species: Species  # gives the arena, and what everybody is called and looks like
+    positions: NDArray[np.floating]  # (K, 2) [arena unit]
+    headings: NDArray[np.floating]  # (K,), counter-clockwise from x [rad]
+    trails: NDArray[np.floating]  # (t, K, 2), positions so far, oldest first; t may be 0
+    rewards: NDArray[np.floating]  # (K,), shown beside the names; of the episode so far
+    condition: str = ""  # the experimental one, as text
+    note: str = ""  # how the episode ended
+    title: str = ""  # in place of the species' own
+    step: int = 0  # decisions taken
+    unit: Unit = RECORDED_SCALE  # of the scale bar
     plume: PlumeField | None = None
-    antennae: NDArray[np.floating] | None = None
-    odour: tuple[float, float] = (0.0, 0.0)
+    antennae: NDArray[np.floating] | None = None  # (2, 2), left and right of a searcher ...
+    odour: tuple[float, float] = (0.0, 0.0)  # ... and what they smell, in [0, 1]
 
     @property
     def searching(self) -> bool:

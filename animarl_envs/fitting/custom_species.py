@@ -27,7 +27,7 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, focus_directions, is_free, lone_pursuer
-from animarl_envs.locomotion import Locomotion, check_thrusts
+from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import (
     CUSTOM,
     SILKMOTH,
@@ -55,47 +55,29 @@ def species_of(
     base: str | None = None,
     thrusts: int = 1,
 ) -> Species:
-    """The species that demonstrations show.
+    """The species that demonstrations show; test episodes are not looked at.
+
+    ``fit`` is the locomotion of each individual, by default fitted with so many ``thrusts``
+    (:func:`fitted_locomotion`). What the file does not state comes from the species ``base``, by
+    default the one that it names. For ``"custom"``:
+
+    - time limit: the longest episode, or what the import kept at most, if that is longer;
+    - contact radius: :func:`contact_radius_of`; conditions: those that occur, as names only;
+    - left and right are alike unless :func:`takes_sides`;
+    - the edge of a disc or a square is a wall, unless recordings end because an animal left;
+    - own velocity averaged over the last steps is seen by those with several thrusts: who has one
+      is an artificial agent, mostly, that goes by the present;
+    - the time since the start is seen where the import began every episode at a separation;
+    - starts without a demonstration: in the inner half of the arena; no warm-up steps;
+    - where nobody is pursued, simulated animals differ from each other as recorded ones do
+      (``species.traits``);
+    - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with its
+      heading and its odour gets odour as recorded searchers did, and traits.
+
+    Individuals whose headings are recorded turn as they do (:func:`fitted_turning`); those of a
+    chase then see where everybody points, if one of them does not point where it walks.
 
     Raises InputError if the roles do not fit the species.
-
-    Parameters
-    ----------
-    demos
-        One or more pursuers and a target, one pursuer and its targets, one searcher, or animals
-        of whom nobody is pursued. Test episodes are not looked at.
-    fit
-        Locomotion of each individual; by default fitted, see :func:`fitted_locomotion`.
-    base
-        Name of the species that gives the numbers the file does not state; by default the one
-        that the file names. For ``"custom"`` they are:
-
-        - time limit: the longest episode, or what the import kept at most, if that is longer;
-        - contact radius: as stated (``contact_radius`` in the provenance, or the distance at which
-          the import ended episodes), else the distance at which recorded contacts ended (their
-          0.9 quantile), else a thousandth of the arena's size: where no recorded episode ended by
-          contact, none should that is simulated, however near bodies without extent may come;
-        - conditions: those that occur, as names only: no reward differs between them;
-        - left and right are alike (``mirror_symmetric``) unless the recordings say otherwise, see
-          :func:`takes_sides`;
-        - the edge of a disc or a square is a wall (``rebound``), unless recordings end because
-          an animal left;
-        - own velocity averaged over the last steps is seen (``senses_past``) by those with several
-          thrusts: who has one is an artificial agent, mostly, that goes by the present;
-        - the time since the start is seen where the import began every episode at a separation
-          (``senses_time``);
-        - starts without a demonstration: in the inner half of the arena; no warm-up steps;
-        - of whom nobody is pursued, simulated animals differ from each other where the recorded
-          ones do (``species.traits``);
-        - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with
-          its heading and its odour gets odour as recorded searchers did (``fitting.odour``);
-          where those differ from each other, simulated ones do (``species.traits``).
-
-        Individuals whose headings are recorded turn as they do, see :func:`fitted_turning`; those
-        of a chase then see where everybody points (``senses_heading``), if one of them does not
-        point where it walks.
-    thrusts
-        Thrust magnitudes that are fitted, where ``fit`` is not given.
     """
     demos = learnable(demos)
     name = base or demos.species
@@ -159,7 +141,6 @@ def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomoti
     """
     from animarl_envs.fitting.joint import joint_locomotion
 
-    check_thrusts(thrusts)
     fit: tuple[Locomotion, ...] = _fitted_once(joint_locomotion, demos, thrusts)
     return fit
 
@@ -233,7 +214,9 @@ def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) ->
 def contact_radius_of(demos: Demonstrations) -> float:
     """The contact radius that the demonstrations state or show [arena unit].
 
-    See :func:`species_of`.
+    As stated by the provenance, or the distance at which the import ended episodes, else that at
+    which recorded contacts ended (their 0.9 quantile), else a thousandth of the arena's size: where
+    no recorded episode ended by contact, none should that is simulated.
     """
     demos = learnable(demos)
     cutting = _cutting(demos)
@@ -381,9 +364,3 @@ def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
             weights[i] -= rate * (step + DECAY * weights[i])
     first, bias, last, offset = weights
     return FittedOdour(first, bias, last, offset)
-
-
-def likelihood(odour: FittedOdour, demos: Demonstrations) -> float:
-    """Mean negative log likelihood of recorded hits [nats a step]."""
-    inputs, hits = odour_steps(demos)
-    return float(-np.log(odour.chances(inputs)[np.arange(len(hits)), hits]).mean())

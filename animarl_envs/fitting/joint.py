@@ -3,22 +3,14 @@
 What is left of a velocity after damping, ``r = v_{t+1} - (1 - d) v_t``, should be either zero (the
 individual coasts) or have the length ``m u dt`` along one of the 12 directions of the egocentric
 frame, ``m`` one of the M thrust magnitudes (one, in the paper). The fit minimises the squared
-distance of ``r`` to the nearest of these 12 M + 1 points, which is the square of the velocity RMSE
-that Table 1 of the paper reports. Steps that miss by more than ``FAR`` times what nine tenths of
-all steps miss by are taken for tracking jumps and left out; a Gaussian error loses nothing by that
-(trimming a fixed share would cost a sixth of the precision).
+distance of ``r`` to the nearest of these 12 M + 1 points. Steps that miss by more than ``FAR``
+times what nine tenths of all steps miss by are taken for tracking jumps and left out.
 
 Three moves alternate: every step takes its nearest action (as in k-means), far misses are set
 aside, and with these fixed the optimum (d, thrusts) solves linear equations. Where that would leave
 the terminal speed below a given one, the optimum on the line of just that terminal speed takes its
-place. A grid supplies the starting points.
-
-With several magnitudes, d and all thrusts are fitted together from several starting points, and
-then held against fixed multiples of the one-magnitude thrust, which did well on moths and
-flies: what follows the recordings more closely (:mod:`animarl_envs.fitting.tracking`)
-is taken, individual by individual. ``u`` stays the thrust of one magnitude, of which the magnitudes
-are multiples. The terminal speed of the largest thrust is at least the recorded 99 % quantile of
-speed: a model that cannot go as fast as the animal cannot move like it.
+place. Several magnitudes are held against fixed multiples of the one-magnitude thrust, and what
+follows the recordings more closely is taken (``docs/data/fitting.md``).
 """
 
 from __future__ import annotations
@@ -58,16 +50,9 @@ _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
     """Damping, thrust and magnitudes of every individual, from all episodes of ``demos``.
 
-    One that never moves stops at once (d = 1) and has the largest thrust of the others, so that no
-    push explains a step of it. Raises InputError if ``thrusts`` is none of 1 to 10, an individual
-    has too few steps, or nobody moves.
-
-    Parameters
-    ----------
-    demos
-        Recorded episodes, those to fit only.
-    thrusts
-        The number of magnitudes, M.
+    ``thrusts`` is the number of magnitudes, M. One that never moves stops at once (d = 1) and has
+    the largest thrust of the others, so that no push explains a step of it. Raises InputError if
+    ``thrusts`` is none of 1 to 10, an individual has too few steps, or nobody moves.
     """
     check_thrusts(thrusts)
     names = demos.kinds
@@ -109,18 +94,9 @@ def fit_joint(
 ) -> Locomotion:
     """Damping and thrust of one individual by least squares without tracking jumps.
 
-    Raises InputError if there are fewer than three steps, or the individual never moves.
-
-    Parameters
-    ----------
-    data
-        Its transitions.
-    name
-        For the message.
-    least_speed
-        What the terminal speed ``u dt / d`` must reach [arena unit / s].
-    far
-        Which misses are tracking jumps, see ``FAR``; infinity: none.
+    The terminal speed ``u dt / d`` is at least ``least_speed`` [arena unit / s]; ``far`` says which
+    misses are tracking jumps (``FAR``; infinity: none), and ``name`` is for messages. Raises
+    InputError if there are fewer than three steps, or the individual never moves.
     """
     moving = np.hypot(data.next_velocity[:, 0], data.next_velocity[:, 1]) > 0
     if len(data) < 3 or not moving.any():

@@ -73,20 +73,11 @@ class NoisyFit:
 def fit_with_noise(
     demos: Demonstrations, individual: int, *, most_steps: int = MOST_STEPS, intervals: bool = True
 ) -> NoisyFit:
-    """Fit damping, one thrust and the tracking noise of an individual.
+    """Fit damping, one thrust and the tracking noise of an individual (an index).
 
-    Raises InputError if there are fewer than three steps, or the individual never moves.
-
-    Parameters
-    ----------
-    demos
-        Recorded episodes; all are used, up to ``most_steps`` steps of them.
-    individual
-        Its index.
-    most_steps
-        Whole episodes are taken from the first on until so many steps are there.
-    intervals
-        Whether intervals are made and the bias of the merging is taken out; both need time.
+    Whole episodes are taken from the first on until ``most_steps`` steps are there. ``intervals``
+    says whether intervals are made and the bias of the merging is taken out; both need time. Raises
+    InputError if there are fewer than three steps, or the individual never moves.
     """
     name = f"{demos.name}: {demos.individuals[individual]}"
     enough = int(np.searchsorted(np.cumsum(demos.lengths - 1), most_steps, side="right"))

@@ -61,30 +61,16 @@ class Steps:
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
-    """Locomotion in S states with M thrust magnitudes, the slowest state first.
+    """Locomotion in S states with M thrust magnitudes, the slowest state first."""
 
-    Attributes
-    ----------
-    damping, noise
-        ``(S,)``: d [1], and the standard deviation of a velocity's error [arena unit / s].
-    thrusts
-        ``(S, M)`` [arena unit / s^2].
-    pushes
-        ``(12 M + 1,)``, probabilities of the actions.
-    stay
-        ``(S, S)``, probabilities of the next state.
-    held_out
-        Nats a step of each episode that the fit has not seen.
-    """
-
-    damping: Floats
-    thrusts: Floats
-    noise: Floats
-    pushes: Floats
-    stay: Floats
-    broad: float
-    dt: float
-    held_out: Floats
+    damping: Floats  # (S,)
+    thrusts: Floats  # (S, M) [arena unit / s^2]
+    noise: Floats  # (S,), standard deviation of a velocity's error [arena unit / s]
+    pushes: Floats  # (12 M + 1,), probabilities of the actions
+    stay: Floats  # (S, S), probabilities of the next state
+    broad: float  # standard deviation of tracking jumps [arena unit / s]
+    dt: float  # [s]
+    held_out: Floats  # nats a step of each episode that the fit has not seen
 
     @property
     def share(self) -> Floats:
@@ -108,27 +94,15 @@ class StateFit:
 def compare_states(
     demos: Demonstrations, individual: int, states: Sequence[int], thrusts: Sequence[int]
 ) -> tuple[list[StateFit], int]:
-    """Fit every number of states with every number of thrusts; say which is best.
+    """Fit every number of states (1 to 5) with every number of thrusts each; say which is best.
 
-    The best is the one with the fewest parameters among those whose held-out likelihood is within
-    one standard error, over episodes, of the highest (Breiman et al. 1984), or a hundredth of a
-    nat.
+    Fitted on train, compared on val; animals of a group that are alike are fitted together. The
+    best has the fewest parameters among those whose held-out likelihood is within one standard
+    error, over episodes, of the highest (Breiman et al. 1984), or a hundredth of a nat. Returns the
+    fits, states in the outer loop, and its index.
 
     Raises InputError if a number of states is none of 1 to 5, or there are no episodes to train or
     validate.
-
-    Parameters
-    ----------
-    demos
-        Recorded episodes with their splits: fitted on train, compared on val.
-    individual
-        Its index. Animals of a group that are alike are fitted together.
-    states, thrusts
-        Numbers of states, 1 to 5, and of the thrust magnitudes that each has.
-
-    Returns
-    -------
-    The fits, states in the outer loop, and the index of the best.
     """
     for number in states:
         if not 1 <= number <= MOST_STATES:

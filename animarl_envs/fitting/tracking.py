@@ -57,27 +57,16 @@ def track(
     *,
     horizon: float = 1.0,
 ) -> Tracking:
-    """Follow every recorded episode from its first state, all individuals together.
+    """Follow every recorded episode from its first state, all K individuals together.
 
     Each step takes the action that minimises ``|p' - p_rec'|^2 / (h dt)^2 + |v' - v_rec'|^2``
-    (ties: the lower number); focus directions are those of the simulated positions.
+    (ties: the lower number); focus directions are those of the simulated positions. Walls of the
+    ``arena`` hold, by default those of ``demos``, if it has ``rebound``. ``horizon`` is h, the
+    number of steps within which a miss of the position is corrected. 1 stays nearest; but each
+    correction is a push and then one back, so a larger h keeps pushes smooth.
 
-    Parameters
-    ----------
-    demos
-        Recorded episodes of K individuals.
-    locomotion
-        Parameters of each of them, with equally many thrust magnitudes.
-    arena
-        Whose walls hold, if it has ``rebound``; by default that of ``demos``.
-    horizon
-        h, the number of steps within which a miss of the position is corrected. 1 stays nearest;
-        but each correction is a push and then one back, so a larger h keeps pushes smooth.
-
-    Raises
-    ------
-    InputError
-        If there are not K equally rich sets of parameters, or the horizon is below a step.
+    Raises InputError if there are not K sets of parameters with equally many thrust magnitudes, or
+    the horizon is below a step.
     """
     _check(demos, locomotion)
     if not horizon >= 1.0:

@@ -74,18 +74,10 @@ def step_frames(demos: Demonstrations) -> NDArray[np.int64]:
 def demonstrated_actions(
     demos: Demonstrations, locomotion: Sequence[Locomotion]
 ) -> NDArray[np.int8]:
-    """Actions inferred from the tracks by inverse dynamics.
+    """Actions of K individuals by inverse dynamics, with the ``locomotion`` of each.
 
-    Parameters
-    ----------
-    demos
-        Recorded episodes of K individuals.
-    locomotion
-        Fitted parameters, one per individual.
-
-    Returns
-    -------
-    ``(frames, K)`` int8: the action that led from each frame to the next, -1 at last frames.
+    Returns ``(frames, K)`` int8: the action that led from each frame to the next, -1 at last
+    frames.
     """
     if len(locomotion) != demos.num_individuals:
         raise InputError(

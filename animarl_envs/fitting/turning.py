@@ -1,15 +1,11 @@
 """How a body turns, fitted to recorded headings; and how well headings are then predicted.
 
-The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
-minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
-recorded step (of long recordings from ``MOST_STARTS`` of them, evenly chosen), on the recorded
-velocities; over half of the median episode where that is shorter. (A fit to single steps predicts
-the next turn a little better and drifts away sooner.) The error is a chord, ``2 sin(difference /
-2)``, so that headings that are lost altogether do not decide. The fourth number, ``speed``, is the
-median recorded speed.
-
-The search runs first over at most ``FIRST_STEPS`` steps from one start, then from there over twice
-as many, and so on, since the error over many has other minima.
+Persistence, gain and slip of :class:`animarl_envs.species.turning.Turning` minimise the squared
+error of the heading over ``HORIZON`` seconds of free running from every recorded step, on the
+recorded velocities; over half of the median episode where that is shorter. (A fit to single steps
+drifts away sooner.) The error is a chord, ``2 sin(difference / 2)``, so that headings that are lost
+altogether do not decide. The search runs first over few steps from one start, then from there over
+twice as many, and so on, since the error over many has other minima.
 """
 
 from __future__ import annotations

@@ -20,24 +20,15 @@ MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
 def with_options(species: Species, **options: Any) -> Species:
     """The species with options applied, each checked and refused by name.
 
-    Parameters
-    ----------
-    num_pursuers
-        Number of pursuers of a chase; they are renamed ``<kind>_0, <kind>_1, ...``.
-    num_targets
-        Number of targets of one pursuer, who comes last; they are renamed likewise.
-    arena
-        An :class:`Arena`, its fields by name, a shape name, or a size, with which the boundary and
-        the square of starts grow; ``rebound`` and ``boundary`` apply to it.
-    locomotion
-        One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
-        ``{"female": {"thrust": 0.19}}`` (also ``damping``, ``magnitudes``) or
-        ``{"female": 1.2}`` (a factor on the thrust).
-    thrusts
-        Number of thrust magnitudes of every individual, M: who has another number gets fixed
-        multiples of its thrust (:func:`~animarl_envs.locomotion.fixed_multiples`).
-    others
-        Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
+    ``num_pursuers`` sets the number of pursuers of a chase, renamed ``<kind>_0, <kind>_1, ...``,
+    and ``num_targets`` that of the targets of one pursuer, who comes last. ``arena`` is an
+    :class:`Arena`, its fields by name, a shape name, or a size, with which the boundary and the
+    square of starts grow; ``rebound`` and ``boundary`` apply to it. ``locomotion`` is one
+    :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}``, ``{"female": {"thrust":
+    0.19}}`` (also ``damping``, ``magnitudes``) or ``{"female": 1.2}`` (a factor on the thrust).
+    ``thrusts`` is the number of thrust magnitudes of every individual, M: who has another number
+    gets fixed multiples of its thrust (:func:`~animarl_envs.locomotion.fixed_multiples`). Others
+    are fields of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """
     counts = {key: options.pop(key, None) for key in MANY}
     lone = options.get("lone_pursuer") is True
@@ -78,10 +69,7 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
 
     ``options`` are those of :func:`with_options`, ``reading`` says what the policies perceive.
 
-    Raises
-    ------
-    InputError
-        If an option is not valid, or there is no such reading.
+    Raises InputError if an option is not valid, or there is no such reading.
     """
     if reading not in get_args(Reading):
         raise InputError(f"reading is {reading!r}: choose 'habit' or 'knows'")

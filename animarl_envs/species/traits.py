@@ -71,10 +71,7 @@ def fit_traits(
     They differ in a trait if quarters of one episode are more alike than those of several (analysis
     of variance over episodes, each about the mean of its condition).
 
-    Raises
-    ------
-    MissingExtraError
-        Without scipy, which the extra "data" has.
+    Raises MissingExtraError without scipy, which the extra "data" has.
     """
     try:
         from scipy.stats import f

@@ -202,14 +202,9 @@ class AnimalVectorEnv(  # type: ignore[misc]
     def render(self) -> tuple[NDArray[np.uint8], ...]:
         """Return the present scene of each copy, ``(height, width, 3)`` uint8.
 
-        Only the first :data:`~animarl_envs.drawing.render.MOST_DRAWN` are drawn, the others are
-        blank; :meth:`render_grid` shows those in one picture.
+        Only the first :data:`~animarl_envs.drawing.render.MOST_DRAWN` are drawn, others are blank.
         """
         return tuple(self._pictures.draw())
-
-    def render_grid(self) -> NDArray[np.uint8]:
-        """Return the present scenes of the first copies side by side, up to three in a row."""
-        return self._pictures.grid()
 
     def _masked(self, infos: dict[str, Any]) -> dict[str, Any]:
         """With a mask for each entry: every copy has it."""

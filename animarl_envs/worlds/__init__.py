@@ -57,21 +57,12 @@ def _module(species: Species) -> Any:
 
 @dataclass(frozen=True)
 class Mirror:
-    """Observations and actions of a world, seen in a mirror along the x axis of the arena frame.
+    """Observations and actions of a world, seen in a mirror along the x axis of the arena frame."""
 
-    Attributes
-    ----------
-    order
-        ``(n,)``: the mirrored observation has component ``order[c]`` in place ``c``, ...
-    sign
-        ``(n,)``: ... times ``sign[c]``, 1 or -1.
-    actions
-        ``(actions,)``: the mirrored action of each.
-    """
-
-    order: NDArray[np.int64]
-    sign: NDArray[np.float32]
-    actions: NDArray[np.int64]
+    # The mirrored observation has component order[c] times sign[c] in place c.
+    order: NDArray[np.int64]  # (n,)
+    sign: NDArray[np.float32]  # (n,), 1 or -1
+    actions: NDArray[np.int64]  # (actions,), the mirrored action of each
 
     def observation(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """Mirrored observations ``(..., n)``."""

@@ -71,30 +71,30 @@ LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 218,
     "animarl_algos.benchmark": 1_895,
-    "animarl_algos.cli": 2_552,
-    "animarl_algos.data": 1_111,
+    "animarl_algos.cli": 2_545,
+    "animarl_algos.data": 1_076,
     "animarl_algos.evaluation": 5_150,
-    "animarl_algos.learner": 3_109,
-    "animarl_algos.losses": 618,
-    "animarl_algos.networks": 1_790,
+    "animarl_algos.learner": 3_076,
+    "animarl_algos.losses": 603,
+    "animarl_algos.networks": 1_759,
     "animarl_algos.recipes": 197,
     "animarl_algos.replay": 976,
     "animarl_algos.report": 2_289,
     "animarl_algos.runs": 2_750,
     "animarl_algos.whatif": 2_184,
     "animarl_algos.zoo": 483,
-    "animarl_envs": 2_423,
-    "animarl_envs.demos": 1_281,
-    "animarl_envs.drawing": 1_043,
-    "animarl_envs.fitting": 2_473,
+    "animarl_envs": 2_403,
+    "animarl_envs.demos": 1_271,
+    "animarl_envs.drawing": 998,
+    "animarl_envs.fitting": 2_368,
     "animarl_envs.importing": 5_219,
-    "animarl_envs.species": 1_229,
-    "animarl_envs.views": 964,
-    "animarl_envs.worlds": 4_207,
+    "animarl_envs.species": 1_214,
+    "animarl_envs.views": 959,
+    "animarl_envs.worlds": 4_160,
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 33_084
+TESTS = 33_067
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 

@@ -51,10 +51,7 @@ SLOWEST = 0.2  # no filament travels slower than this share of the advection spe
 class FilamentModel:
     """Constants of the plume model; :meth:`fitted` gives those of the recorded plumes.
 
-    Raises
-    ------
-    InputError
-        If a constant is out of its range.
+    Raises InputError if a constant is out of its range.
     """
 
     puff_rate: float  # [Hz]

@@ -4,36 +4,26 @@ The sequence that a male starts anew at every contact with pheromone (Kanzaki, S
 1992): it *surges* straight ahead, then turns to one side and the other for longer and longer
 (*zigzag*), then circles (*loop*) until the next contact. Which side it turns to first, and a slight
 turn of the surge, follow the antenna that was hit (Takasaki, Namiki and Kanzaki 2012; Ando and
-Kanzaki 2015).
-Wind and vision modulate the sequence (Yamada et al. 2021): with the wind from ahead the moth surges
-fast, with the wind from elsewhere carefully, and turns into it; visual flow tells how far the body
-really turned, and the next step makes good the difference. Each moth has its own pace, and stops
-now and then, as recorded moths do.
+Kanzaki 2015). Wind and vision modulate the sequence (Yamada et al. 2021): with the wind from ahead
+the moth surges fast, with the wind from elsewhere carefully, and turns into it; visual flow tells
+how far the body really turned, and the next step makes good the difference. Each moth has its own
+pace, and stops now and then.
 
-``python -m tools.packaged_data.moth_comparison [DATA_DIR]`` prints how often, how fast and on how
-long a path it finds the source, and the same of recorded moths.
+It plans in its body's frame, and uses the body angle only to say its plan in the world's actions,
+never as a compass. Without any contact it stands still.
 
-The policy sees observations only. It plans in its body's frame, and uses the body angle only to
-say its plan in the world's actions, never as a compass: with wind blocked it does not know where
-upwind is. Without any contact it stands still.
-
-References
-----------
-Kanzaki, Sugi and Shibuya (1992), Zoological Science 9: 515-527. Takasaki, Namiki and Kanzaki
-(2012), Journal of Comparative Physiology A 198: 295-307. Ando and Kanzaki (2015), Journal of
-Experimental Biology 218: 3845-3854. Yamada, Ohashi, Hosoda, Kurabayashi and Shigaki (2021), eLife
-10: e72001.
+Kanzaki et al. (1992), Zool. Sci. 9: 515-527. Takasaki et al. (2012), J. Comp. Physiol. A 198:
+295-307. Ando and Kanzaki (2015), J. Exp. Biol. 218: 3845-3854. Yamada et al. (2021), eLife 10:
+e72001.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.worlds.search.layout import Seen
@@ -66,36 +56,14 @@ class MothProgramme:
     pause_rate: float = 0.118  # how often a walking moth stops [1 / s]
     pause: float = 1.39  # how long it then stands, on average [s]
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = name in ("motor_noise", "slip", "pace_spread", "pause_rate", "pause")
-            if name == "turns":
-                if not all(0 < t < math.inf for t in value):
-                    raise InputError(f"turns are {value}: give positive durations in seconds")
-            elif name in ("careful", "odour_turn", "wind_turn"):
-                if name == "careful" and not 0 < value <= 1:
-                    raise InputError(f"careful is {value}: it must lie between 0 and 1")
-            elif not (value >= 0 if least else value > 0) or not value < math.inf:
-                allowed = "zero or positive" if least else "a positive number"
-                raise InputError(f"{name} is {value}: it must be {allowed}")
-
 
 @dataclass(eq=False)
 class ProgrammedMoth:
     """The policy, for ``copies`` moths side by side.
 
-    Call :meth:`reset` where an episode starts and :meth:`act` once per step.
-
-    Parameters
-    ----------
-    copies
-        Number of moths.
-    generator
-        Source of the motor noise and of the side where both antennae are hit.
-    species
-        Gives the time step and the locomotion that a plan is turned into actions with.
-    programme
-        The numbers of the sequence.
+    Call :meth:`reset` where an episode starts and :meth:`act` once per step. ``generator`` draws
+    the motor noise, and the side where both antennae are hit; ``species`` gives the time step and
+    the locomotion that a plan is turned into actions with.
     """
 
     copies: int

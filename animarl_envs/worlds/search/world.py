@@ -164,10 +164,7 @@ def demonstration_observations(
     ``odour_left`` and ``odour_right``, hit or not in the step that led to each frame.
     ``condition`` replaces the recorded one.
 
-    Raises
-    ------
-    InputError
-        If the demonstrations hold no odour signals.
+    Raises InputError if the demonstrations hold no odour signals.
     """
     recorded = _recorded_senses(species, demos, (), ((), ()), False)
     if not len(recorded.hits):

@@ -7,7 +7,7 @@ import pytest
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting.custom_species import fit_odour, likelihood, odour_steps, species_of
+from animarl_envs.fitting.custom_species import fit_odour, odour_steps, species_of
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored
@@ -31,17 +31,17 @@ def test_a_law_of_hits_is_found_and_drawn_in_the_world(recorded: Demonstrations)
     odour = species.plume
     assert isinstance(odour, FittedOdour)
     lasting, beginning = (-p * np.log(p) - (1 - p) * np.log(1 - p) for p in (0.9, 0.1))
-    assert (
-        likelihood(odour, recorded) < 0.5 * (lasting + beginning) + 0.08
-    )  # persistence untold: 0.69
+    inputs, hits = odour_steps(recorded)
+    surprise = -np.log(odour.chances(inputs)[np.arange(len(hits)), hits]).mean()
+    assert surprise < 0.5 * (lasting + beginning) + 0.08  # persistence untold: 0.69
     world = make_world(make_scenario(species, demos=None), num_copies=200)
     world.seed(list(range(200)))
     world.reset()
-    hits, draw = [], np.random.default_rng(0)
+    drawn_hits, draw = [], np.random.default_rng(0)
     for _ in range(100):  # they wander over the places that were recorded
         world.step(draw.integers(species.num_actions, size=(200, 1)))
-        hits.append(world.odour == 1.0)
-    drawn = np.array(hits)
+        drawn_hits.append(world.odour == 1.0)
+    drawn = np.array(drawn_hits)
     before, after = drawn[20:-1, :, 0], drawn[21:, :, 0]
     assert after[before].mean() == pytest.approx(0.9, abs=0.05)
     assert after[~before].mean() == pytest.approx(0.1, abs=0.05)

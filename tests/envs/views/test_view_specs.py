@@ -125,21 +125,15 @@ def test_spec_of_infos_holds_for_raw_dictionaries() -> None:
 # -- pictures -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("copies", "columns", "rows"), [(1, 1, 1), (2, 2, 1), (5, 3, 2), (11, 3, 3)]
-)
-def test_spec_of_pictures_one_of_each_copy_and_a_grid(copies: int, columns: int, rows: int) -> None:
+@pytest.mark.parametrize("copies", [1, 5, 11])
+def test_spec_of_pictures_one_of_each_copy(copies: int) -> None:
     vector = gym.make_vec(AGENT, num_envs=copies, render_mode="rgb_array", time_limit=2)
     vector.reset(seed=0)
     vector.step(np.zeros(copies, dtype=int))
-    pictures, grid = vector.render(), vector.unwrapped.render_grid()  # type: ignore[attr-defined]
+    pictures = vector.render()
     assert pictures is not None and len(pictures) == copies
-    height, width, _ = pictures[0].shape
-    assert grid.shape == (rows * height, columns * width, 3) and width == 600 // columns
-    for b, pixels in enumerate(pictures[:MOST_DRAWN]):
-        row, column = divmod(b, columns)
-        place = grid[row * height : (row + 1) * height, column * width : (column + 1) * width]
-        assert np.array_equal(place, pixels)
+    for pixels in pictures[:MOST_DRAWN]:
+        assert pixels.shape == pictures[0].shape
         assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20
     assert all((blank == 255).all() for blank in pictures[MOST_DRAWN:])
 
