@@ -17,7 +17,8 @@ import numpy as np
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[n]) for n in (0, 2)]
 
-from golden_table_files import Case, cases  # noqa: E402
+from golden_table_files import Case, table_cases  # noqa: E402
+from golden_tracker_files import of_recipes, of_trackers  # noqa: E402
 
 from animarl_envs.demos import Demonstrations  # noqa: E402
 from animarl_envs.errors import InputError  # noqa: E402
@@ -82,7 +83,7 @@ def result_of(case: Case) -> Any:
 
 def results() -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for case in cases():
+    for case in (*table_cases(), *of_trackers(), *of_recipes()):
         assert case.name not in found, case.name
         found[case.name] = result_of(case)
     return found
