@@ -16,6 +16,20 @@ class Done:
     stderr: str
 
 
+def refused(done: Done, *words: str) -> None:
+    """Make sure that a command ended with exit code 2 and one sentence that holds these words."""
+    assert done.returncode == 2, done.stdout
+    assert len(done.stderr.strip().splitlines()) == 1 and "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr, done.stderr
+
+
+def succeeded(done: Done) -> str:
+    """Make sure that a command ended well, and return what it printed."""
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def animarl(*words: object) -> str:
     """What ``animarl`` printed; what it raises is raised."""
     ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)

@@ -1,6 +1,9 @@
 """Small learners of the pair of :mod:`toys`, with its demonstrations, for tests of learning."""
 
+import os
+import signal
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +12,7 @@ import toys
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.losses.terms import MinibatchValues
 from animarl_algos.recipes.registry import named_recipe
@@ -106,6 +110,19 @@ def make_pair_learner(name: str, policy: str = "GruPolicy", **more: Any) -> Sequ
     if named.pretrained:
         settings = {"demonstrations": demonstrations(flag), "offline_epochs": 2} | settings
     return named.algorithm(policy, FlaggedPair(2) if flag else toys.Pair(2), **settings)
+
+
+class Interrupt(CheckpointCallback):
+    """Sends this process a signal at a world step: that of Ctrl-C, or another."""
+
+    def __init__(self, folder: Path, step: int, number: int = signal.SIGINT) -> None:
+        super().__init__(folder, every=10_000)
+        self.step, self.number = step, number
+
+    def _on_step(self) -> bool:
+        if self.model.num_timesteps == self.step:
+            os.kill(os.getpid(), self.number)
+        return True
 
 
 def weights(model: SequenceQLearning) -> torch.Tensor:

@@ -1,7 +1,9 @@
 """Small synthetic recordings of any species, for tests that need demonstrations of it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,17 @@ from tools.packaged_data import demonstrations_of
 CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
 SPLITS = ("train", "train", "train", "train", "val", "test")
 SYNTHETIC = {"source": "made by the test", "licence": "none", "synthetic": True}
+
+
+def write_tracks(path: Path, bodies: NDArray[np.float64], names: Sequence[str]) -> Path:
+    """Write a long table of positions ``(frames, individuals, 2)``, a row a frame and animal."""
+    rows = [
+        f"{t},{name},{x!r},{y!r}"
+        for t, frame in enumerate(bodies.tolist())
+        for name, (x, y) in zip(names, frame, strict=True)
+    ]
+    path.write_text("frame,id,x,y\n" + "\n".join(rows) + "\n")
+    return path
 
 
 def scripted_chase(

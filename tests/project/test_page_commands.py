@@ -19,10 +19,10 @@ import pytest
 import typer
 import typer.main
 from commands import animarl
+from pages import ROOT, blocks, run_programs
 
 from animarl_algos.cli.main import app
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
     page.relative_to(ROOT)
     for pattern in ("*.md", "docs/**/*.md", "benchmarks/*.md", "animarl_algos/pretrained/*/*.md")
@@ -32,12 +32,12 @@ PAGES = sorted(
 PREFIXES = r"(?:\$ |time |/usr/bin/time -v |[A-Z_]+=\S+ )*"
 # Programs of these pages are run by the test named; those of all other pages by this file.
 RUN_BY = {
-    "README.md": "tests/project/test_readme.py",
-    "docs/contributing.md": "tests/project/test_contributing.py",
+    "README.md": "tests/project/test_program_pages.py",
+    "docs/contributing.md": "tests/project/test_program_pages.py",
     "docs/data/cleaning.md": "tests/envs/importing/test_import_pages.py",
     "docs/data/readers.md": "tests/envs/importing/test_import_pages.py",
     "docs/faithful.md": "tests/envs/fitting/test_recorded_headings.py",
-    "docs/learners.md": "tests/project/test_learners_page.py",
+    "docs/learners.md": "tests/project/test_program_pages.py",
     "docs/tutorial.md": "tests/public/test_tutorial.py",
     "docs/what_if.md": "tests/algos/runs/test_run.py",
 }
@@ -151,16 +151,10 @@ def test_short_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         animarl(*shlex.split(command, comments=True)[1:])
 
 
-def programs(page: Path) -> list[str]:
-    return re.findall(r"^```python\n(.*?)^```$", text_of(page), re.MULTILINE | re.DOTALL)
-
-
-@pytest.mark.parametrize("page", [page for page in PAGES if programs(page)], ids=str)
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(str(page))], ids=str)
 def test_programs_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if str(page) in RUN_BY:
         assert page.name in (ROOT / RUN_BY[str(page)]).read_text()
         return
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "__main__"}
-    for program in programs(page):
-        exec(compile(program, str(page), "exec"), names)
+    run_programs(str(page))

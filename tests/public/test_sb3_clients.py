@@ -19,7 +19,6 @@ from torch import nn
 
 from animarl_algos import DQDIL, DQN, QRDQN, EvaluateIndividuals, SlotVecEnv, evaluate_individuals
 from animarl_algos.data.vec_env import MixedMeansWarning
-from animarl_envs.errors import InputError
 
 CARTPOLE = "CartPole-v1"
 
@@ -103,8 +102,8 @@ def test_clients_load_files_of_others_in_vain(tmp_path: Path) -> None:
     stable_baselines3.DQN("MlpPolicy", CARTPOLE, device="cpu").save(tmp_path / "theirs")
     (tmp_path / "text.zip").write_text("no zip")
     for name in ("theirs.zip", "text.zip"):
-        with pytest.raises(InputError, match="it is no model of DQN: load it with the class that"):
-            DQN.load(tmp_path / name, device="cpu")
+        words = "it is no model of DQN: load it with the class that"
+        refuses(words, DQN.load, tmp_path / name, device="cpu")
     with pytest.raises(FileNotFoundError):
         DQN.load(tmp_path / "nothing", device="cpu")
 
@@ -183,5 +182,4 @@ def test_clients_can_log_each_individual_while_learning(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("given", [{"every": 0}, {"episodes": 0}])
 def test_clients_who_never_evaluate_are_told(given: dict[str, int]) -> None:
-    with pytest.raises(InputError, match=next(iter(given))):
-        EvaluateIndividuals(slots(), **given)
+    refuses(next(iter(given)), EvaluateIndividuals, slots(), **given)

@@ -1,25 +1,19 @@
 """docs/tutorial.md: its commands and its program run, one after the other, as they stand there."""
 
-import re
 import shlex
 import sys
 from pathlib import Path
 
 import pytest
+from pages import blocks, run_programs
 
 from animarl_algos.cli.main import main
 
-PAGE = (Path(__file__).parents[2] / "docs" / "tutorial.md").read_text()
-
-
-def blocks(kind: str) -> list[str]:
-    """Contents of the fenced blocks of a kind, in their order."""
-    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    return [content for found, content in fenced if found == kind]
+PAGE = "docs/tutorial.md"
 
 
 def commands() -> list[list[str]]:
-    return [shlex.split(line) for block in blocks("") for line in block.splitlines()]
+    return [shlex.split(line) for block in blocks(PAGE, "") for line in block.splitlines()]
 
 
 def test_every_command_is_shown() -> None:
@@ -38,7 +32,4 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert ended.value.code in (0, None), words
         if "--out" in words:
             assert (Path(words[words.index("--out") + 1]) / "report.html").exists()
-    (program,) = blocks("python")
-    names: dict[str, object] = {}
-    exec(compile(program, "docs/tutorial.md", "exec"), names)
-    assert len(names["table"]) > 0  # type: ignore[arg-type]
+    assert len(run_programs(PAGE)["table"]) > 0

@@ -1,10 +1,8 @@
 """The command line: the whole road on tiny settings, and bad input in one sentence."""
 
-import ast
 import io
 import json
 import os
-import pickle
 import re
 import shutil
 import signal
@@ -12,7 +10,6 @@ import subprocess
 import sys
 import time
 import warnings
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from commands import Done
+from commands import Done, refused, succeeded
 from small_runs import few
 
 from animarl_algos.cli.main import COMMANDS, app
@@ -51,28 +48,18 @@ def test_from_a_file_to_a_report_and_again(
 ) -> None:
     command = ["run", small, "--species", "agent", "--algo", "dqdil-pt", *TINY, "--no-baselines"]
     command += ["--repetitions", "2", "--folds", "0", "--out", "run"]
-    done = animarl(*command)
-    assert done.returncode == 0, done.stderr
-    assert "run/report.html" in done.stdout
+    assert "run/report.html" in succeeded(animarl(*command))
     run = tmp_path / "run"
     html = (run / "report.html").read_text()
     assert "DQDIL-PT" in html and "predator_0" in html
     record = json.loads((run / "settings.json").read_text())
     assert record["settings"]["steps"] == 300 and record["versions"]["torch"]
-    methods = {path.stem for path in (run / "rollouts").glob("*.npz")}
-    assert methods == {"DQDIL-PT"}
+    assert {path.stem for path in (run / "rollouts").glob("*.npz")} == {"DQDIL-PT"}
     weights = (run / "policies" / "dqdil-pt.pt").read_bytes()
-
-    again = animarl(*command)
-    assert again.returncode == 0, again.stderr
+    for again in (command, ["evaluate", "run"], ["report", "run"]):
+        succeeded(animarl(*again))
     assert (run / "policies" / "dqdil-pt.pt").read_bytes() == weights
-
-    other = animarl(*command, "--seed", "1")
-    assert other.returncode == 2
-    assert "holds another run" in other.stderr
-
-    for name in ("evaluate", "report"):
-        assert animarl(name, "run").returncode == 0
+    refused(animarl(*command, "--seed", "1"), "holds another run")
 
 
 def test_the_verdict_of_few_test_recordings_is_cross_validated(
@@ -82,9 +69,8 @@ def test_the_verdict_of_few_test_recordings_is_cross_validated(
     words = ["run", small, "--species", "agent", "--set", "offline_epochs=1", "--thrusts", "1"]
     words += ["--set", "offline_kwargs={updates_per_epoch: 3}", "--acting", "boltzmann:0.5"]
     words += ["--repetitions", "2", "--no-baselines"]
-    done = animarl(*words, "--out", "run")
-    assert done.returncode == 0, done.stderr
-    assert "fewer than 10 recordings" in done.stdout and "16 starts" in done.stdout
+    said = succeeded(animarl(*words, "--out", "run"))
+    assert "fewer than 10 recordings" in said and "16 starts" in said
     run = Run(tmp_path / "run")
     folds = trained_folds(run)
     tested = [fold.demos.recording[fold.demos.split == "test"].tolist() for fold in folds]
@@ -98,10 +84,9 @@ def test_the_verdict_of_few_test_recordings_is_cross_validated(
     assert np.array_equal(rollouts.positions[rollouts.offsets[:-1]], first[rollouts.demo])
     assert "16 demonstrations, cross-validated in 5 folds" in (run.path / "report.html").read_text()
 
-    both = animarl("evaluate", "run", "--out", "both")
-    assert both.returncode == 0 and "16 starts" in both.stdout, both.stderr
+    assert "16 starts" in succeeded(animarl("evaluate", "run", "--out", "both"))
     other = animarl(*words, "--folds", "4", "--out", "run")
-    assert other.returncode == 2 and "cross-validated in 5 folds already" in other.stderr
+    refused(other, "cross-validated in 5 folds already")
 
 
 @pytest.mark.parametrize(
@@ -120,12 +105,9 @@ def test_train_by_environment_and_preset_then_more(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
     """As in the documentation, on few demonstrations: the paper's numbers but fewer steps."""
-    first = animarl(
-        *("train", str(small), "--algo", "qr-dqcil-pt", "--env", "AnimaRL/Agent-v0"),
-        *("--preset", "paper", "--steps", "200", "--seed", "1", "--out", "out/run"),
-        *("--set", "offline_epochs=2", "--fit-method", "joint"),
-    )
-    assert first.returncode == 0, first.stderr
+    words = ["train", small, "--algo", "qr-dqcil-pt", "--env", "AnimaRL/Agent-v0"]
+    words += ["--preset", "paper", "--steps", "200", "--seed", "1", "--out", "out/run"]
+    succeeded(animarl(*words, "--set", "offline_epochs=2", "--fit-method", "joint"))
     record = json.loads((tmp_path / "out" / "run" / "settings.json").read_text())
     assert record["settings"]["fit_method"] == "joint" and record["settings"]["seed"] == 1
     assert record["environment"] == {
@@ -134,11 +116,9 @@ def test_train_by_environment_and_preset_then_more(
     assert record["learner"]["offline_epochs"] == 2 and record["learner"]["learning_rate"] == 1e-6
     assert record["learner"]["policy_kwargs"] == {"n_quantiles": 20}
     assert record["baseline"]["offline_learning_rate"] == 1e-3  # BC's own
-    more = animarl("train", "--resume", "out/run", "--steps", "400")
-    assert more.returncode == 0, more.stderr
+    succeeded(animarl("train", "--resume", "out/run", "--steps", "400"))
     assert steps_done(tmp_path / "out/run/checkpoints/qr-dqcil-pt/checkpoint.npz") == 400
-    fewer = animarl("train", "--resume", "out/run", "--steps", "100")
-    assert fewer.returncode == 2 and "has 400 steps already" in fewer.stderr
+    refused(animarl("train", "--resume", "out/run", "--steps", "100"), "has 400 steps already")
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -159,7 +139,7 @@ def test_a_command_that_is_stopped_says_how_to_go_on(
         done = animarl(*command)
     assert signal.getsignal(signal.SIGTERM) == before
     assert done.returncode == code and "the same command takes up" in done.stderr
-    assert animarl(*command).returncode == 0
+    succeeded(animarl(*command))
 
 
 def test_a_folder_that_cannot_be_made_is_named(
@@ -167,35 +147,17 @@ def test_a_folder_that_cannot_be_made_is_named(
 ) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "logs").write_text("a file in the way")
-    done = animarl("train", str(small), "--algo", "dqn", *TINY[:4], "--out", "run")
-    assert done.returncode == 2
-    assert "run/logs" in done.stderr and "cannot be read or written" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    done = animarl("train", small, "--algo", "dqn", *TINY[:4], "--out", "run")
+    refused(done, "run/logs", "cannot be read or written")
 
 
 def test_one_individual_learns_and_is_evaluated(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
     """The others replay their recording in training and in evaluation alike."""
-    done = animarl(
-        *(
-            "run",
-            str(small),
-            "--algo",
-            "dqn",
-            "--steps",
-            "200",
-            "--focal",
-            "prey",
-            "--copies",
-            "4",
-            "--folds",
-            "0",
-        ),
-        *("--policy", "MlpPolicy", "--repetitions", "1", "--set", "offline_epochs=0"),
-        *("--no-baselines", "--device", "cpu"),
-    )
-    assert done.returncode == 0, done.stderr
+    words = ["run", small, "--algo", "dqn", "--steps", "200", "--focal", "prey", "--copies", "4"]
+    words += ["--folds", "0", "--policy", "MlpPolicy", "--repetitions", "1", "--device", "cpu"]
+    succeeded(animarl(*words, "--set", "offline_epochs=0", "--no-baselines"))
     run = Run(tmp_path / "runs" / "run")
     assert run.record["learner"]["policy"] == "MlpPolicy"
     rollouts = Rollouts.load(run.path / "rollouts" / "DQN.npz")
@@ -209,15 +171,14 @@ def test_one_individual_learns_and_is_evaluated(
         assert apart[:2].max() < 1e-9  # predators, as recorded
         moved.append(apart[2])
     assert max(moved) > 1e-3
-    clip = animarl("watch", "AnimaRL/Agent-v0", "--model", str(run.path), "--out", "prey.gif",
-                   "--steps", "3")  # fmt: skip
-    assert clip.returncode == 0 and (tmp_path / "prey.gif").exists(), clip.stderr
+    watch = ["watch", "AnimaRL/Agent-v0", "--model", run.path]
+    succeeded(animarl(*watch, "--out", "prey.gif", "--steps", "3"))
+    assert (tmp_path / "prey.gif").exists()
     world, actor = prepare("AnimaRL/Agent-v0", model=run.path)
     assert world.scenario.drivers == ("replay", "replay", "action")
     world.reset()
     assert actor(world, True)[0, :2].tolist() == [0, 0]
-    other = animarl("watch", "AnimaRL/Agent-v0", "--model", str(run.path), "--focal", "predator_0")
-    assert other.returncode == 2 and "prey alone learned" in other.stderr
+    refused(animarl(*watch, "--focal", "predator_0"), "prey alone learned")
 
 
 def test_ones_own_animals_need_no_species(
@@ -227,8 +188,7 @@ def test_ones_own_animals_need_no_species(
     demos = Demonstrations.load(small)
     names = ("cat_a", "cat_b", "mouse")
     replace(demos, species="custom", individuals=names).save(tmp_path / "cats.npz")
-    done = animarl("train", "cats.npz", *TINY, "--algo", "dqdil-pt", "--out", "run")
-    assert done.returncode == 0, done.stderr
+    succeeded(animarl("train", "cats.npz", *TINY, "--algo", "dqdil-pt", "--out", "run"))
     run = Run(tmp_path / "run")
     assert run.settings.species == "custom"
     fitted = run.species
@@ -238,56 +198,29 @@ def test_ones_own_animals_need_no_species(
 def test_a_damaged_checkpoint_or_folder_is_refused(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
-    first = animarl("train", str(small), *TINY[:-2], "--algo", "dqn", "--out", "run")
-    assert first.returncode == 0, first.stderr
-    policy = tmp_path / "run" / "policies" / "dqn.pt"
-    policy.write_text("text")
+    succeeded(animarl("train", small, *TINY[:-2], "--algo", "dqn", "--out", "run"))
+    (tmp_path / "run" / "policies" / "dqn.pt").write_text("text")
     watched = animarl("watch", "AnimaRL/Agent-v0", "--model", "run", "--out", "a.gif")
-    assert watched.returncode == 2 and "not a policy of this run" in watched.stderr
-    assert len(watched.stderr.strip().splitlines()) == 1
+    refused(watched, "not a policy of this run")
     latest = tmp_path / "run" / "checkpoints" / "dqn" / "checkpoint.npz"
     latest.write_bytes(b"PK")
-    resumed = animarl("train", "--resume", "run", "--steps", "600")
-    assert resumed.returncode == 2 and "damaged" in resumed.stderr
-    assert len(resumed.stderr.strip().splitlines()) == 1
+    refused(animarl("train", "--resume", "run", "--steps", "600"), "damaged")
     latest.unlink()
-    gone = animarl("train", "--resume", "run", "--steps", "700")
-    assert gone.returncode == 2 and "its checkpoints are gone" in gone.stderr
+    refused(animarl("train", "--resume", "run", "--steps", "700"), "its checkpoints are gone")
     settings = tmp_path / "run" / "settings.json"
     for content, word in (("{", "damaged"), ("{}", "not of this version"), ("[]", "damaged")):
         settings.write_text(content)
-        refused = animarl("train", "--resume", "run", "--steps", "600")
-        assert refused.returncode == 2 and word in refused.stderr, refused.stderr
+        refused(animarl("train", "--resume", "run", "--steps", "600"), word)
 
 
-def bad_content(kind: str) -> bytes:
-    """What no reader may accept."""
-    stream = io.BytesIO()
-    if kind == "empty archive":
-        zipfile.ZipFile(stream, "w").close()
-    elif kind == "pickle":
-        np.savez(stream, positions=np.array([{"a": 1}], dtype=object))
-    else:
-        np.savez(stream, positions=np.zeros((10, 3, 2)))
-    return {
-        "text": b"x,y\n1,2\n", "bare pickle": pickle.dumps({"positions": 1}),
-        "truncated": stream.getvalue()[:-200],
-    }.get(kind, stream.getvalue())  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "kind", ["text", "truncated", "pickle", "bare pickle", "empty archive", "missing"]
-)
 @pytest.mark.parametrize("command", [["fit"], ["run", "--out", "never"]])
 def test_bad_files_are_refused_in_one_sentence(
-    animarl: Callable[..., Done], kind: str, command: list[str], tmp_path: Path
+    animarl: Callable[..., Done], command: list[str], tmp_path: Path
 ) -> None:
-    if kind != "missing":
-        (tmp_path / "bad.npz").write_bytes(bad_content(kind))
-    done = animarl(*command, "bad.npz")
-    assert done.returncode == 2 and "Traceback" not in done.stderr
-    assert "bad.npz" in done.stderr and (kind != "missing" or "no such file" in done.stderr)
-    assert len(done.stderr.strip().splitlines()) == 1
+    """What else no reader accepts is tested with the readers."""
+    refused(animarl(*command, "bad.npz"), "bad.npz", "no such file")
+    (tmp_path / "bad.npz").write_text("x,y\n1,2\n")
+    refused(animarl(*command, "bad.npz"), "bad.npz")
     assert not (tmp_path / "never").exists()
 
 
@@ -295,8 +228,6 @@ def test_bad_files_are_refused_in_one_sentence(
     ("arguments", "word"),
     [
         (["run", "packaged", "--algo", "sarsa"], "sarsa"),
-        (["run", "packaged", "--species", "dodo"], "dodo"),
-        (["run", "packaged", "--steps", "0"], "steps"),
         (["run", "packaged", "--folds", "2"], "2 folds of 500"),
         (["run", "packaged", "--set", "learning_rat=1"], "learning_rat"),
         (["run", "packaged", "--set", "oops"], "KEY=VALUE"),
@@ -306,22 +237,11 @@ def test_bad_files_are_refused_in_one_sentence(
         (["train", "--resume", "nowhere"], "nowhere"),
         (["train", "--resume", "nowhere", "--seed", "1"], "--seed does not go with --resume"),
         (["train", "--env", "AnimaRL/Fly-v0", "--species", "newt"], "contradict each other"),
-        (["train", "--env", "CartPole-v1"], "none of AnimaRL's"),
-        (["train", "--preset", "fast"], "'fast': choose paper or default"),
-        (["train", "--env", "AnimaRL/Fly-v0", "--algo", "dqcil"], "fly has none: choose dqdil"),
         (["train", "--species", "custom"], "custom"),
-        (["train", "--fit-method", "guess"], "'guess': choose joint, onset or noise"),
-        (["train", "--focal", "wolf"], "focal is 'wolf'"),
         (["train", "--policy", "CnnPolicy"], "choose GruPolicy or MlpPolicy"),
-        (["train", "--device", "abacus"], "choose cpu or cuda"),
         (["train", "--config", "nowhere.yml"], "nowhere.yml: there is no such configuration"),
         (["run", "--set", "env_kwargs={wind: 1}"], "'wind' is unknown"),
-        (["train", "--algo", "dqdil", "--set", "env_kwargs={dtw: null}"], "'dtw_penalty'"),
-        (["train", "--set", "policy_kwargs={colour: red}"], "'colour'"),
         (["train", "--set", "replay_buffer_kwargs={colour: red}"], "'colour'"),
-        (["train", "--set", "gamma=1.5"], "gamma is 1.5"),
-        (["train", "--set", "buffer_size=10"], "buffer_size 10 cannot hold"),
-        (["train", "--seed", "-1"], "seed is -1"),
         (["fit", "agent", "--seed", "-1"], "seed is -1: give a whole number of at least 0"),
         (["watch", "AnimaRL/Agent-v0", "--seed", "-1", "--out", "w.gif"], "seed is -1"),
         (["watch", "AnimaRL/Agent-v0", "--seed", "9" * 20, "--out", "w.gif"], "most 4294967295"),
@@ -334,9 +254,8 @@ def test_bad_files_are_refused_in_one_sentence(
 def test_bad_options_are_refused_in_one_sentence(
     animarl: Callable[..., Done], arguments: list[str], word: str, tmp_path: Path
 ) -> None:
-    done = animarl(*arguments)
-    assert done.returncode == 2
-    assert word in done.stderr and "Traceback" not in done.stderr
+    """One of each kind; the others are tested where a run's settings are made."""
+    refused(animarl(*arguments), word)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -344,17 +263,15 @@ def test_no_input_is_written_over(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
     table = tmp_path / "table.csv"
-    assert animarl("data", "convert", str(small), "--out", str(table)).returncode == 0
-    before = table.read_bytes()
+    succeeded(animarl("data", "convert", small, "--out", table))
+    before, copy = table.read_bytes(), Path(shutil.copy(small, tmp_path))
     for command in (["data", "check"], ["data", "convert"], ["fit"]):
-        done = animarl(*command, str(table), "--out", "../" + tmp_path.name + "/table.csv")
-        assert done.returncode == 2 and "it is the file that is read" in done.stderr
-    copy = Path(shutil.copy(small, tmp_path))
-    done = animarl("data", "merge", str(copy), str(small), "--out", str(copy))
-    assert done.returncode == 2 and "it is the file that is read" in done.stderr
+        done = animarl(*command, table, "--out", "../" + tmp_path.name + "/table.csv")
+        refused(done, "it is the file that is read")
+    refused(animarl("data", "merge", copy, small, "--out", copy), "it is the file that is read")
     assert table.read_bytes() == before and copy.read_bytes() == small.read_bytes()
-    done = animarl("data", "check", str(small), "--out", "episodes.csv")
-    assert "Wrote episodes.csv" in done.stdout
+    said = succeeded(animarl("data", "check", small, "--out", "episodes.csv"))
+    assert "Wrote episodes.csv" in said
 
 
 @pytest.mark.parametrize(
@@ -366,10 +283,8 @@ def test_what_only_an_import_can_be_told_is_said_with_it(
 ) -> None:
     table = tmp_path / "good tracks.csv"
     table.write_text("frame,id,x,y\n" + "".join(f"{f},a,{f}.0,1.0\n" for f in range(20)))
-    done = animarl(*command, table.name)
-    assert done.returncode == 2 and done.stderr.startswith(f"animarl: {table.name}: ")
-    assert f"'animarl import '{table.name}' --fps ... --out demos.npz'" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    suggested = f"'animarl import '{table.name}' --fps ... --out demos.npz'"
+    refused(animarl(*command, table.name), f"animarl: {table.name}: ", suggested)
     assert list(tmp_path.iterdir()) == [table]
 
 
@@ -406,7 +321,7 @@ def test_examples_of_the_data_commands_run(
     examples = re.findall(rf"^ *animarl (data {name}\b.*?) *$", said, re.MULTILINE)
     assert examples
     for words in map(str.split, examples):
-        assert animarl(*words).returncode == 0
+        succeeded(animarl(*words))
         assert "--out" not in words or (tmp_path / words[words.index("--out") + 1]).exists()
 
 
@@ -418,19 +333,29 @@ HEAVY = {"numba", "scipy", "pandas"}
 ANIMARL = "from animarl_algos.cli.main import main; main()"
 
 
-@pytest.mark.parametrize("name", ["", *(name for name in COMMANDS if name != "benchmark")])
-def test_start_of_a_help_imports_no_learners(name: str) -> None:
-    program = (
-        f"import sys\ntry:\n    {ANIMARL}\n"
-        "finally:\n    print(sorted(m for m in sys.modules if '.' not in m), file=sys.stderr)"
-    )
-    asked = [sys.executable, "-c", program, *name.split(), "--help"]
+HELPS = """
+import sys
+from animarl_algos.cli.main import main
+for name in sys.argv[1].split(","):
+    sys.argv = ["animarl", *name.split(), "--help"]
+    try:
+        main()
+    except SystemExit:
+        print(name, *sorted(m for m in sys.modules if "." not in m), file=sys.stderr)
+"""
+
+
+def test_start_of_a_help_imports_no_learners() -> None:
+    """That of the program before those of its commands, all but one in one process."""
+    names = ["", *(name for name in COMMANDS if name != "benchmark")]
+    asked = [sys.executable, "-c", HELPS, ",".join(names)]
     done = subprocess.run(asked, capture_output=True, text=True, check=True)
-    loaded = set(ast.literal_eval(done.stderr))
-    assert not loaded & (LEARNING if name else LEARNING | HEAVY)
-    assert f"animarl {name}" in done.stdout
-    for command, place in COMMANDS.items():
-        assert name or (command in done.stdout and place.summary()[:20] in done.stdout)
+    loaded = [set(line.split()) for line in done.stderr.splitlines()]
+    assert len(loaded) == len(names)
+    assert not loaded[0] & (LEARNING | HEAVY) and not loaded[-1] & LEARNING
+    for name, place in COMMANDS.items():
+        assert name == "benchmark" or f"animarl {name}" in done.stdout
+        assert name in done.stdout and place.summary()[:20] in done.stdout
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -483,28 +408,20 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_in_a_log(
     assert lines[-1].startswith("offline: 4 of 4 epochs")
 
 
-@pytest.mark.parametrize("there", [True, False])
-def test_a_first_compilation_says_so_once(there: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("there", "warnings_are"), [(1, "always"), (0, "always"), (0, "error")])
+def test_a_first_compilation_says_so_once(
+    there: bool, warnings_are: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a terminal, as a warning elsewhere, and as text where warnings are errors."""
     stream = Terminal(there)
     monkeypatch.setattr(sys, "stderr", stream)
     listener = FirstCompilation()
     with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always")
+        warnings.simplefilter(warnings_are)
         for module in ("scipy.special", "animarl_envs.worlds.base", "animarl_envs.dtw"):
             function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
             listener.on_start(SimpleNamespace(data={"dispatcher": function}))
     said = [str(one.message) for one in warned if one.category is CompilationWarning]
-    assert stream.getvalue().splitlines() == [COMPILING] * there
-    assert said == [COMPILING] * (not there)
-
-
-def test_a_first_compilation_goes_on_where_warnings_are_errors(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    stream = Terminal(False)
-    monkeypatch.setattr(sys, "stderr", stream)
-    function = SimpleNamespace(py_func=SimpleNamespace(__module__="animarl_envs.dtw"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        FirstCompilation().on_start(SimpleNamespace(data={"dispatcher": function}))
-    assert stream.getvalue().splitlines() == [COMPILING]
+    as_warning = not there and warnings_are == "always"
+    assert stream.getvalue().splitlines() == [COMPILING] * (not as_warning)
+    assert said == [COMPILING] * as_warning

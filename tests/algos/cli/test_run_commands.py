@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import Done
+from commands import Done, refused, succeeded
 from small_runs import few, made
 
 from animarl_algos.evaluation import Rollouts
@@ -69,13 +69,6 @@ def whole(folder: Path, tables: set[str]) -> None:
     assert "older version" not in page
 
 
-def refused(done: Done, *words: str) -> None:
-    assert done.returncode == 2, done.stdout
-    assert len(done.stderr.strip().splitlines()) == 1 and "Traceback" not in done.stderr
-    for word in words:
-        assert word in done.stderr, done.stderr
-
-
 # -- evaluate -------------------------------------------------------------------------------------
 
 
@@ -83,10 +76,9 @@ def test_methods_times_seeds_twice_the_same(
     animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
 ) -> None:
     for out in ("first", "second"):
-        done = animarl("evaluate", *runs, "--out", out)
-        assert done.returncode == 0, done.stderr
-    assert "train it with 'animarl run few.npz --algo bc --out RUN'" in done.stdout
-    assert "no untrained network to compare with" in done.stdout
+        said = succeeded(animarl("evaluate", *runs, "--out", out))
+    assert "train it with 'animarl run few.npz --algo bc --out RUN'" in said
+    assert "no untrained network to compare with" in said
     whole(tmp_path / "first", {*TABLES, "verdict"})
     comparison = pd.read_csv(tmp_path / "first" / "comparison.csv")
     seeds = comparison.set_index("method")["seeds"]
@@ -104,25 +96,22 @@ def test_one_run_is_rolled_out_again_in_its_own_folder(
     copy = tmp_path / "copy"
     shutil.copytree(runs[2], copy)
     shutil.rmtree(copy / "rollouts")
-    done = animarl("evaluate", copy, "--acting", "greedy")
-    assert done.returncode == 0, done.stderr
+    succeeded(animarl("evaluate", copy, "--acting", "greedy"))
     assert (copy / "rollouts" / "DQDIL-PT.npz").exists() and (copy / "evaluation").is_dir()
-    assert animarl("report", copy).returncode == 0
+    succeeded(animarl("report", copy))
     assert (copy / "report.html").exists()
-    before = contents(runs[2] / "policies")
-    assert contents(copy / "policies") == before  # nothing was trained
+    assert contents(copy / "policies") == contents(runs[2] / "policies")  # nothing was trained
 
 
 def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
     animarl: Callable[..., Done], tmp_path: Path
 ) -> None:
     run = made(tmp_path, "dqdil-pt", baselines=True)
-    policies = sorted(path.name for path in (run.path / "policies").iterdir())
-    done = animarl("evaluate", run.path, "--out", "eval")
-    assert done.returncode == 0, done.stderr
-    assert "no trained BC to compare with" in done.stdout
-    assert f"animarl run few.npz --algo dqdil-pt --seed 0 --out {run.path}" in done.stdout
-    assert sorted(path.name for path in (run.path / "policies").iterdir()) == policies
+    policies = contents(run.path / "policies")
+    said = succeeded(animarl("evaluate", run.path, "--out", "eval"))
+    assert "no trained BC to compare with" in said
+    assert f"animarl run few.npz --algo dqdil-pt --seed 0 --out {run.path}" in said
+    assert contents(run.path / "policies") == policies
     methods = set(pd.read_csv(tmp_path / "eval" / "comparison.csv")["method"])
     assert methods == {"recorded", "DQDIL-PT", "untrained", "random"}
 
@@ -148,6 +137,10 @@ def test_runs_that_differ_are_refused_by_what_differs(
     record["learner"]["gamma"] = 0.5
     file.write_text(json.dumps(record))
     refused(animarl("evaluate", runs[0], unlike.path, "--out", "never"), "gamma", "0.5")
+    moth = made(tmp_path / "m", species="silkmoth", rolled_out=False)
+    for command in ("evaluate", "counterfactual"):
+        done = animarl(command, runs[0], moth.path, "--out", "never")
+        refused(done, "species: silkmoth and agent")
     assert not (tmp_path / "never").exists()
 
 
@@ -172,14 +165,6 @@ def test_bad_input_is_one_sentence(
     refused(animarl(command, runs[0], *more, "--out", "file"), "it is a file")
     refused(animarl(command, runs[0], *more, "--out", runs[1]), "it is a run folder")
     assert not (tmp_path / "o").exists()
-
-
-def test_two_species_are_refused(
-    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
-) -> None:
-    moth = made(tmp_path, species="silkmoth", rolled_out=False)
-    for command in ("evaluate", "counterfactual"):
-        refused(animarl(command, runs[0], moth.path, "--out", "o"), "species: silkmoth and agent")
 
 
 def test_damaged_rollouts_and_tables_are_refused(
@@ -208,17 +193,14 @@ def test_trained_runs_are_judged_on_new_recordings(
     known = Run(runs[0]).demos
     later = replace(known.select(episodes=np.arange(6)), split=np.full(6, "train"))
     later.save(tmp_path / "later.npz")
-    done = animarl("evaluate", runs[0], "--demos", "later.npz", "--out", "new")
-    assert done.returncode == 0, done.stderr
+    succeeded(animarl("evaluate", runs[0], "--demos", "later.npz", "--out", "new"))
     metrics = pd.read_csv(tmp_path / "new" / "metrics.csv")
     assert set(metrics.loc[metrics["method"] == "DQCIL-PT", "demo"]) == set(range(6))
-    slower = replace(later, dt=2 * later.dt)
-    slower.save(tmp_path / "slower.npz")
-    refused(
-        animarl("evaluate", runs[0], "--demos", "slower.npz", "--out", "o"), "time step", "differs"
-    )
-    refused(animarl("evaluate", runs[0], "--demos", "fly", "--out", "o"), "individuals")
-    refused(animarl("evaluate", runs[0], "--demos", "later.npz"), "--out")
+    replace(later, dt=2 * later.dt).save(tmp_path / "slower.npz")
+    judge = ("evaluate", runs[0], "--demos")
+    refused(animarl(*judge, "slower.npz", "--out", "o"), "time step", "differs")
+    refused(animarl(*judge, "fly", "--out", "o"), "individuals")
+    refused(animarl(*judge, "later.npz"), "--out")
     assert not (tmp_path / "o").exists()
 
 
@@ -226,7 +208,7 @@ def test_a_full_disk_leaves_earlier_results(
     animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:
     command = ("inspect", runs[0], "--episode", 0, "--out", "out")
-    assert animarl(*command).returncode == 0
+    succeeded(animarl(*command))
     before = contents(tmp_path / "out")
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     unlimited = (resource.RLIM_INFINITY,) * 2
@@ -260,8 +242,7 @@ def test_files_are_moved_only_when_all_are_there(tmp_path: Path) -> None:
 def test_one_episode_is_looked_at(
     animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
 ) -> None:
-    done = animarl("inspect", runs[0], "--episode", 3, "--out", "out")
-    assert done.returncode == 0, done.stderr
+    succeeded(animarl("inspect", runs[0], "--episode", 3, "--out", "out"))
     whole(tmp_path / "out", {"steps", "values", "metrics"})
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Paths from the start of the episode" in page and "animarl watch --beside" in page
@@ -285,9 +266,8 @@ def test_shifts_have_their_truth(
     animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
 ) -> None:
     for out in ("first", "second"):
-        done = animarl("counterfactual", *runs, "--out", out)
-        assert done.returncode == 0, done.stderr
-    assert "nothing is claimed: 2 training seeds" in done.stdout
+        said = succeeded(animarl("counterfactual", *runs, "--out", out))
+    assert "nothing is claimed: 2 training seeds" in said
     out = tmp_path / "first"
     whole(out, {"counterfactual", "claims", "episodes"})
     page = (out / "report.html").read_text()
@@ -317,8 +297,7 @@ def test_a_search_is_its_own_truth_in_the_other_world(
     options = {"time_limit": 60, "labels": "soft"}
     demos = few("silkmoth", test=1)
     run = made(tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options)
-    done = animarl("counterfactual", run.path, "--repetitions", 2, "--out", "out")
-    assert done.returncode == 0, done.stderr
+    succeeded(animarl("counterfactual", run.path, "--repetitions", 2, "--out", "out"))
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
     recorded = episodes[episodes["answer"] == "recorded"].set_index("demo")["condition"]
     other = episodes[episodes["answer"] == "other world"]
@@ -329,12 +308,3 @@ def test_a_search_is_its_own_truth_in_the_other_world(
     rows = table[(table["quantity"] == "true shift") & (table["counting"] == "all")]
     assert rows["value"].notna().all() and set(table["variant"].dropna()) == {"main"}
     refused(animarl("counterfactual", run.path, "--truth", tmp_path, "--out", "never"), "--truth")
-
-
-def test_the_api_is_where_evaluation_is() -> None:
-    import animarl_algos.evaluation as evaluation
-
-    for name in evaluation.__all__:
-        assert getattr(evaluation, name) is not None
-    with pytest.raises(AttributeError, match="no_such_thing"):
-        evaluation.no_such_thing  # noqa: B018

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from animarl_algos.cli.watch import play, prepare, trained_actor, watch_command
 from animarl_envs.drawing.render import Renderer
 from animarl_envs.errors import InputError
+from animarl_envs.worlds.chase.world import ChaseWorld
 
 NEWT, MOTH = "AnimaRL/Newt-v0", "AnimaRL/Silkmoth-v0"
 
@@ -81,12 +82,11 @@ def test_recorded_animals_beside_simulated_ones(tmp_path):
     assert replayed.scenario.drivers == ("replay",) * 3
 
 
-@pytest.mark.parametrize("split", ["train", "test"])
-def test_without_a_model_the_recorded_paths_are_followed(demos, split):
-    world, actor = prepare(NEWT, demos=demos, split=split)
+def test_without_a_model_the_recorded_paths_are_followed(demos):
+    world, actor = prepare(NEWT, demos=demos, split="test")
     path = positions_of(world, actor, steps=6)
     starts = [world.demos.episode(i).positions for i in range(len(world.demos))]
-    assert len(starts) == len(few("newt").select(split=split))
+    assert len(starts) == len(few("newt").select(split="test"))
     assert any(np.allclose(path[:7], one[:7], atol=1e-12) for one in starts)
 
 
@@ -129,29 +129,17 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
 
 
 def test_a_policy_drives_all_individuals_and_keeps_its_state():
-    world, _ = prepare("AnimaRL/Agent-v0", demos=None, condition=1)
-    world = type(world)(_all_acting(world.scenario), 1)
-    policy = Pusher(len(world.observation_components))
-    positions_of(world, trained_actor(policy), steps=3)
-    assert [state for _, state, _ in policy.seen] == [None, 1, 2]
-    assert [start.all() for _, _, start in policy.seen] == [True, False, False]
-    seen = (3, len(world.observation_components))
-    assert all(obs.shape == seen for obs, _, _ in policy.seen)
-
-
-def test_a_policy_trained_with_the_flag_is_told_the_condition():
-    world, _ = prepare("AnimaRL/Agent-v0", demos=None, condition=1)
-    world = type(world)(_all_acting(world.scenario), 1)
-    policy = Pusher(len(world.observation_components) + 1)
-    positions_of(world, trained_actor(policy), steps=1)
-    flagged = policy.seen[0][0]
-    assert flagged.shape == (3, len(world.observation_components) + 1)
-    assert (flagged[:, -1] == 1).all()
-
-
-def _all_acting(scenario):
-
-    return replace(scenario, drivers=("action",) * len(scenario.names))
+    """The condition is told to one that was trained with the flag."""
+    scenario = prepare("AnimaRL/Agent-v0", demos=None, condition=1)[0].scenario
+    world = ChaseWorld(replace(scenario, drivers=("action",) * 3), 1)
+    components = len(world.observation_components)
+    for flag in (0, 1):
+        policy = Pusher(components + flag)
+        positions_of(world, trained_actor(policy), steps=3)
+        assert [state for _, state, _ in policy.seen] == [None, 1, 2]
+        assert [start.all() for _, _, start in policy.seen] == [True, False, False]
+        assert all(seen.shape == (3, components + flag) for seen, _, _ in policy.seen)
+        assert not flag or (policy.seen[0][0][:, -1] == 1).all()
 
 
 def test_a_closed_window_ends_the_show(monkeypatch):

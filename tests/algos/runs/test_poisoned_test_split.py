@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_algos.benchmark.matrix import Matrix, plan
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -16,7 +17,6 @@ from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from tools.make_pretrained import validation_mismatch
 
@@ -75,8 +75,7 @@ def test_a_learners_environment_holds_no_test_episode(split: str | None) -> None
 
 
 def test_the_test_split_is_refused() -> None:
-    with pytest.raises(InputError, match="test split"):
-        SlotVecEnv("custom", 2, demos=a_few(), split="test")
+    refuses("test split", SlotVecEnv, "custom", 2, demos=a_few(), split="test")
 
 
 @pytest.mark.parametrize(

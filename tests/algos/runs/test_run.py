@@ -1,7 +1,6 @@
 """A run: what ``load_run`` gives, its world, its lock, its machine, its times and its warnings."""
 
 import json
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from pages import ROOT, blocks, run_programs
 from refusals import refuses
 from report_inputs import rendered, report_inputs
 from small_runs import few, made
@@ -36,7 +36,7 @@ from animarl_envs.demos.joining import first_of_role
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import fit_locomotion
 
-PAGE = Path(__file__).parents[3] / "docs" / "what_if.md"
+PAGE = "docs/what_if.md"
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +47,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def test_rollouts_that_are_no_longer_made_do_not_stay(tmp_path: Path) -> None:
     own = made(tmp_path, "soft-bc", demos=few())
     np.savez(own.path / "rollouts" / "decisions.npz", q=np.zeros(3))  # of an older version
-    with pytest.raises(InputError, match=r"decisions\.npz"):
-        own.rollouts()
+    refuses(r"decisions\.npz", own.rollouts)
     roll_out(own)
     assert list(own.rollouts()) == ["SOFT-BC"]
 
@@ -61,7 +60,7 @@ def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:
     actions, _ = loaded.policy.predict(observation)
     assert actions.shape == (3,)
     refuses("no such folder and no packaged model", load_run, run.path / "nowhere")
-    refuses("not a run folder", load_run, PAGE.parent)
+    refuses("not a run folder", load_run, ROOT)
 
 
 def test_a_packaged_model_is_loaded_by_its_name() -> None:
@@ -99,9 +98,7 @@ def test_a_change_is_all_that_differs(run: Run) -> None:
     still = loaded.simulate(locomotion={"prey": {"thrust": 1e-9}})
     moved = [np.abs(np.diff(still.path(i)[:, -1], axis=0)).sum() for i in range(len(still))]
     assert max(moved) < 1e-3
-    refuses("changes what the policy is shown", loaded.simulate, num_pursuers=1)
-    with pytest.raises(InputError, match="choose 'habit' or 'knows'"):
-        loaded.simulate(reading="mixed")  # type: ignore[arg-type]
+    refuses("choose 'habit' or 'knows'", loaded.simulate, reading="mixed")
     refuses("time_limitt", loaded.simulate, time_limitt=3)
 
 
@@ -118,19 +115,18 @@ def test_a_change_is_all_that_differs(run: Run) -> None:
 def test_what_would_show_the_policy_something_else_is_refused_by_name(
     options: dict[str, Any], word: str, run: Run
 ) -> None:
-    with pytest.raises(InputError, match=f"^{word} what the policy is shown"):
-        load_run(run.path).simulate(**options)
+    refuses(f"^{word} what the policy is shown", load_run(run.path).simulate, **options)
 
 
 def test_the_page_runs_in_ten_lines(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.M | re.S)
+    (program,) = blocks(PAGE)
     assert len(program.splitlines()) <= 10
     monkeypatch.chdir(tmp_path)
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "first").symlink_to(run.path)
-    exec(compile(program, str(PAGE), "exec"), {})
+    run_programs(PAGE)
     said = capsys.readouterr().out
     assert said.count("caught in") == 2 and "prey 20 % stronger" in said
 

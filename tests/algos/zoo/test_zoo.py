@@ -4,7 +4,6 @@ import importlib
 import sqlite3
 import sys
 from collections.abc import Callable
-from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,9 @@ import rl_zoo3.exp_manager
 import rl_zoo3.utils
 import yaml
 from behaviours import Behaviour, PartlyRandom, Same
-from commands import Done
+from commands import Done, refused, succeeded
 from gymnasium.envs.classic_control import CartPoleEnv
 from stable_baselines3.common import callbacks
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import load_results
 from zoo_commands import AGENT, CARTPOLE, TINY
 from zoo_commands import small as small
@@ -30,7 +28,7 @@ from zoo_commands import zoo as zoo
 
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.settings import LearnerFile
-from animarl_algos.recipes.registry import RECIPES, SoftBC
+from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.zoo import manager
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.manager import sample_settings, slot_environment, validation_environment
@@ -111,46 +109,10 @@ def mean_score(species: str, behaviour: Behaviour) -> float:
     return float(np.mean(list(returns.values())))
 
 
-@pytest.mark.parametrize("deterministic", [True, False])
-@pytest.mark.parametrize("species", ["agent", "fly"])
-def test_a_trained_network_scores_above_an_untrained_one(species: str, deterministic: bool) -> None:
-    """As EvalCallback scores them: the best model that it keeps is no network that ends at once."""
-    before, after = trained_scores(species)
-    assert after[deterministic] > before[deterministic]
-
-
-@cache
-def trained_scores(species: str) -> tuple[dict[bool, float], dict[bool, float]]:
-    """Of a clone before and after some hundred updates, by whether it acts greedily."""
-    env_id = environment_id(species)
-    model = SoftBC(
-        env=slot_environment(env_id, 1), seed=0, device="cpu", offline_epochs=3,
-        offline_batch_size=256,
-        offline_kwargs={"updates_per_epoch": 80, "passes_per_epoch": None},
-        policy_kwargs={"hidden": 64, "depth": 2},
-    )  # fmt: skip
-    scored = validation_environment(env_id, 16)
-
-    def scores() -> dict[bool, float]:
-        found = {}
-        for deterministic in (True, False):
-            scored.seed(0)
-            mean, _ = evaluate_policy(
-                model, scored, n_eval_episodes=scored.num_envs, deterministic=deterministic
-            )
-            found[deterministic] = float(np.mean(mean))
-        return found
-
-    before = scores()
-    model.learn(1)
-    return before, scores()
-
-
 def test_training_leaves_a_model_its_settings_and_scores(
     zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
-    done = zoo("train", "--algo", "dqdil", *tiny(small))
-    assert done.returncode == 0, done.stderr
+    succeeded(zoo("train", "--algo", "dqdil", *tiny(small)))
     run = tmp_path / "logs" / "dqdil" / f"{NAME}_1"
     for name in (f"{NAME}.zip", "best_model.zip", "evaluations.npz", "progress.csv"):
         assert (run / name).stat().st_size > 0
@@ -167,10 +129,9 @@ def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
 ) -> None:
     """``-i``, and rl_zoo3's own ``plot_train``."""
     asked = ["--algo", "dqdil", *tiny(small)]
-    assert zoo("train", *asked).returncode == 0
+    succeeded(zoo("train", *asked))
     runs = [tmp_path / "logs" / "dqdil" / f"{NAME}_{k}" for k in (1, 2)]
-    done = zoo("train", "-i", str(runs[0] / f"{NAME}.zip"), *asked)
-    assert done.returncode == 0, done.stderr
+    succeeded(zoo("train", "-i", str(runs[0] / f"{NAME}.zip"), *asked))
     for run in runs:
         episodes = load_results(str(run))
         assert len(episodes) > 1 and (episodes.l >= 1).all() and (episodes.t.diff()[1:] >= 0).all()
@@ -179,9 +140,8 @@ def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
     plots: Any = importlib.import_module("rl_zoo3.plots.plot_train")
     lines: list[int] = []
     monkeypatch.setattr(plots.plt, "plot", lambda x, *_, **__: lines.append(len(x)))
-    monkeypatch.setattr(
-        sys, "argv", ["plot_train", "-a", "dqdil", "-e", NAME, "-f", "logs", "-w", "2"]
-    )
+    words = ["plot_train", "-a", "dqdil", "-e", NAME, "-f", "logs", "-w", "2"]
+    monkeypatch.setattr(sys, "argv", words)
     plots.plot_train()
     assert len(lines) == 2 and min(lines) > 0
 
@@ -191,8 +151,7 @@ def test_the_same_seed_gives_the_same_scores(
 ) -> None:
     scores = []
     for number in (1, 2):
-        done = zoo("train", "--algo", "dqn", *tiny(small))
-        assert done.returncode == 0, done.stderr
+        succeeded(zoo("train", "--algo", "dqn", *tiny(small)))
         file = tmp_path / "logs" / "dqn" / f"{NAME}_{number}" / "evaluations.npz"
         with np.load(file) as evaluations:
             scores.append(evaluations["results"])
@@ -200,20 +159,18 @@ def test_the_same_seed_gives_the_same_scores(
 
 
 @pytest.mark.parametrize(
-    ("steps", "asked", "at"),
+    ("asked", "at"),
     [
-        (320, [], [32 * k for k in range(1, 11)]),
-        (320, ["--eval-freq=160"], [160, 320]),
-        (320, ["--eval-freq", "-1"], None),
+        ([], [32 * k for k in range(1, 11)]),
+        (["--eval-freq=160"], [160, 320]),
+        (["--eval-freq", "-1"], None),
     ],
 )
 def test_evaluations_are_a_tenth_of_the_run_apart_unless_told(
-    steps: int, asked: list[str], at: list[int] | None, zoo: Callable[..., Done], small: Path,
-    tmp_path: Path,
-) -> None:  # fmt: skip
-    done = zoo("train", "--algo", "dqn", "--env", AGENT, "--n-timesteps", str(steps), "--seed", "1",
-               "--eval-episodes", "1", "--env-kwargs", f"demos:{small}", *asked)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    asked: list[str], at: list[int] | None, zoo: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    told = [*DQN, "--n-timesteps", "320", "--seed", "1", "--eval-episodes", "1"]
+    succeeded(zoo(*told, "--env-kwargs", f"demos:{small}", *asked))
     run = tmp_path / "logs" / "dqn" / f"{NAME}_1"
     if at is None:
         assert not (run / "evaluations.npz").exists()
@@ -228,22 +185,20 @@ def test_evaluations_are_a_tenth_of_the_run_apart_unless_told(
 def test_one_individual_in_training(zoo: Callable[..., Done], small: Path) -> None:
     params = ["-params", "offline_epochs:1", "learning_rate:lin_1e-3"]
     done = zoo("train", "--algo", "qr-dqcil-pt", *tiny(small), "focal:prey", "-P", *params)
-    assert done.returncode == 0, done.stderr
-    assert "\r" not in done.stderr  # no bar where nobody looks: a log gets a line every 30 s
+    assert done.returncode == 0 and "\r" not in done.stderr  # no bar where nobody looks
 
 
-def test_a_learner_without_an_online_phase(
-    zoo: Callable[..., Done], small: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("algo", "env", "more"),
+    [("bc", AGENT, ["-params", "offline_epochs:2"]), ("dqn", "CartPole-v1", [])],
+)
+def test_cloning_alone_and_other_environments_train_too(
+    algo: str, env: str, more: list[str], zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
-    done = zoo("train", "--algo", "bc", *tiny(small), "-params", "offline_epochs:2")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "logs" / "bc" / f"{NAME}_1" / f"{NAME}.zip").exists()
-
-
-def test_other_environments_train_as_ever(zoo: Callable[..., Done], tmp_path: Path) -> None:
-    done = zoo("train", "--algo", "dqn", "--env", "CartPole-v1", *TINY)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "logs" / "dqn" / "CartPole-v1_1" / "0.monitor.csv").exists()
+    where = tiny(small) if env == AGENT else ["--env", env, *TINY]
+    succeeded(zoo("train", "--algo", algo, *where, *more))
+    name = env.replace("/", "-")
+    assert (tmp_path / "logs" / algo / f"{name}_1" / f"{name}.zip").exists()
 
 
 @pytest.mark.parametrize("algo", ["bc", "dqdil"])
@@ -255,8 +210,7 @@ def test_optimize_tunes_into_sqlite(
     if algo == "bc":
         tune += ["-params", "offline_epochs:1"]
     for _ in range(2):
-        done = zoo(*tune)
-        assert done.returncode == 0, done.stderr
+        succeeded(zoo(*tune))
     database = tmp_path / "logs" / algo / "optuna.db"
     with sqlite3.connect(database) as connection:
         rows = connection.execute("select state from trials").fetchall()
@@ -282,8 +236,7 @@ def test_a_trial_has_the_network_that_was_asked_for(
     monkeypatch.setattr(manager, "QUANTILES", (7,))
     params = ["-params", "gamma:0.5", "learning_rate:0.001", "policy_kwargs:{hidden: 8}"]
     tune = ["optimize", "--algo", "qr-dqn", *CARTPOLE, "--n-trials=1", "--pruner=none", *params]
-    done = zoo(*tune)
-    assert done.returncode == 0, done.stderr
+    succeeded(zoo(*tune))
     assert [(one["hidden"], one["n_quantiles"]) for one in networks] == [(8, 7)]
     place = ["--storage", f"sqlite:///{tmp_path}/logs/qr-dqn/optuna.db", "--study-name",
              "qr-dqn CartPole-v1"]  # fmt: skip
@@ -314,8 +267,7 @@ def test_training_scores_a_policy_that_samples_as_it_acts(
     params = ["-params", "offline_epochs:1", f"exploration:{exploration}"]
     told = ["--algo", "dqdil-pt", *tiny(small), *params]
     for command in (["train"], ["optimize", "--n-trials", "1", "--pruner", "none"]):
-        done = zoo(*command, *told)
-        assert done.returncode == 0, done.stderr
+        succeeded(zoo(*command, *told))
     assert len(greedily) > 2 and set(greedily) == {(exploration == "epsilon", exploration)}
 
 
@@ -332,13 +284,11 @@ WITHOUT_WANDB = pytest.mark.skipif(find_spec("wandb") is not None, reason="wandb
         (["dance"], "'dance' is unknown: choose train, optimize"),
         (["train", "--algo", "ppo", "--env", AGENT], "invalid choice: 'ppo'"),
         (["train", "--algo", "dqn", "--env", "AnimaRL/Dodo-v0"], "'AnimaRL/Dodo-v0' is not"),
-        (["train", "--algo", "dqn", "--env", AGENT, "--preset", "fast"], "invalid choice: 'fast'"),
-        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gama:1"], "'gama' is unknown"),
-        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma"], "write KEY:VALUE"),
-        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma:["], "not valid YAML"),
-        (["train", "--algo", "dqn", "--env", AGENT, "--env-kwargs", "wind:1"], "'wind' is unknown"),
-        ([*DQN, "-params", "policy_kwargs:{hiden: 4}"], "policy_kwargs: 'hiden' is unknown"),
-        ([*DQN, "-params", "learning_rate:-1"], "learning_rate is -1"),
+        ([*DQN, "--preset", "fast"], "invalid choice: 'fast'"),
+        ([*DQN, "-params", "gama:1"], "'gama' is unknown"),
+        ([*DQN, "-params", "gamma"], "write KEY:VALUE"),
+        ([*DQN, "-params", "gamma:["], "not valid YAML"),
+        ([*DQN, "--env-kwargs", "wind:1"], "'wind' is unknown"),
         ([*DQN, "--env-kwargs", "copies:2"], "give -params n_envs"),
         ([*DQN, "--device", "abacus"], "'abacus' is unknown"),
         pytest.param([*DQN, "--track"], "--track needs Weights & Biases", marks=WITHOUT_WANDB),
@@ -352,19 +302,17 @@ WITHOUT_WANDB = pytest.mark.skipif(find_spec("wandb") is not None, reason="wandb
         ([*DQN, "--trial-id", "3"], "--trial-id is not supported"),
         ([*DQN, "-params", "n_timesteps:0"], "n_timesteps is 0"),
         ([*DQN, "-params", "n_envs:0"], "n_envs is 0"),
-        (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),
-        (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "does not suit"),
         (["train", "--algo", "dqdil", "--env", "CartPole-v1"], "'dtw_penalty'"),
-        (["train", "--algo", "dqcil", "--env", "AnimaRL/Fly-v0"], "condition flag"),
     ],
 )
 def test_bad_input_is_one_sentence(
     arguments: list[str], word: str, zoo: Callable[..., Done]
 ) -> None:
     done = zoo(*arguments)
-    assert done.returncode == 2
-    assert word in done.stderr and "Traceback" not in done.stderr
-    assert "invalid choice" in word or len(done.stderr.strip().splitlines()) == 1
+    if "invalid choice" in word:  # argparse says how it is used before
+        assert done.returncode == 2 and word in done.stderr
+    else:
+        refused(done, word)
 
 
 @pytest.mark.parametrize(
@@ -396,15 +344,13 @@ def test_nothing_on_the_command_line_or_in_a_file_is_evaluated(
     """rl_zoo3 evaluates KEY:VALUE, policy_kwargs and normalize, runs .py files, imports names."""
     evil = f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
     for key in ("policy_kwargs", "replay_buffer_kwargs", "normalize", "env_wrapper", "policy"):
-        done = zoo("train", "--algo", "dqn", "--env", AGENT, "-params", f'{key}:"{evil}"')
-        assert done.returncode == 2, done.stdout
+        assert zoo(*DQN, "-params", f'{key}:"{evil}"').returncode == 2
         file = tmp_path / "mine.yml"
         file.write_text(yaml.safe_dump({"base": "dqn", AGENT: {"default": {key: evil}}}))
-        done = zoo("train", "--algo", "dqn", "--env", AGENT, "-conf", str(file))
-        assert done.returncode == 2, done.stdout
+        refused(zoo(*DQN, "-conf", str(file)))
     script = tmp_path / "mine.py"
     script.write_text(f"{evil}\nhyperparams = {{}}\n")
-    assert zoo("train", "--algo", "dqn", "--env", AGENT, "-conf", str(script)).returncode == 2
+    refused(zoo(*DQN, "-conf", str(script)))
     assert not (tmp_path / "ran").exists()
 
 
@@ -422,12 +368,9 @@ def test_a_damaged_or_foreign_zip_is_refused(
     whole = (tmp_path / "pole.zip").read_bytes()
     for content in (b"", b"text", b"PK\x05\x06" + bytes(18), whole[:300] + whole[500:]):
         (tmp_path / "bad.zip").write_bytes(content)
-        done = zoo("train", "-i", "bad.zip", "--algo", "dqn", "--env", AGENT)
-        assert done.returncode == 2 and "bad.zip: it is no model of" in done.stderr
+        refused(zoo(*DQN, "-i", "bad.zip"), "bad.zip: it is no model of")
     for env, word in ((AGENT, "spaces do not match"), ("Three-v0", "Action spaces do not match")):
-        done = zoo("train", "-i", "pole.zip", "--algo", "dqn", "--env", env)
-        assert done.returncode == 2 and word in done.stderr
-        assert "Traceback" not in done.stderr
+        refused(zoo("train", "-i", "pole.zip", "--algo", "dqn", "--env", env), word)
     assert not (tmp_path / "logs").exists()
 
 
@@ -437,31 +380,17 @@ def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path:
     newt = slot_environment("AnimaRL/Newt-v0", 1, senses_compass=False)
     assert (fly.individuals, fly.observed[1:]) == (newt.individuals, newt.observed[1:])
     RECIPES["dqn"].algorithm("MlpPolicy", fly, offline_epochs=0, buffer_size=5000).save("fly.zip")
-    alike = ("--env-kwargs", "senses_compass:False")
-    for command, why in (
-        (("train", "-i", "fly.zip"), "Observation spaces do not match"),
-        (("train", "-i", "fly.zip", *alike), "Observation spaces do not match"),
-    ):
-        done = zoo(*command, "--algo=dqn", "--env=AnimaRL/Newt-v0")
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-        assert f"fly.zip: {why}" in done.stderr
+    command = ("train", "-i", "fly.zip", "--algo=dqn", "--env=AnimaRL/Newt-v0")
+    for alike in ((), ("--env-kwargs", "senses_compass:False")):
+        refused(zoo(*command, *alike), "fly.zip: Observation spaces do not match")
     assert not (tmp_path / "logs").exists()
 
 
 def test_training_that_diverged_leaves_its_settings_to_look_at(
     zoo: Callable[..., Done], tmp_path: Path
 ) -> None:
-    moths = [
-        "train",
-        "--algo=bc",
-        "--env=AnimaRL/Silkmoth-v0",
-        "-n",
-        "20",
-        "-params",
-        "offline_epochs:1",
-    ]
-    done = zoo(
-        *moths, "offline_epochs:1", "offline_learning_rate:1e30", "offline_max_grad_norm:null"
-    )
+    moths = ["train", "--algo=bc", "--env=AnimaRL/Silkmoth-v0", "-n", "20", "-params"]
+    rates = ["offline_epochs:1", "offline_learning_rate:1e30", "offline_max_grad_norm:null"]
+    done = zoo(*moths, *rates)
     assert done.returncode == 2 and "offline training diverged" in done.stderr
     assert list(tmp_path.glob("logs/bc/*/*/config.yml"))

@@ -1,7 +1,6 @@
 """Recorded headings of several: their turning, their species, and the files they stand in."""
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from pages import run_programs
 from recordings import dogs
 from refusals import refuses
 from small_runs import made
@@ -162,7 +162,6 @@ def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -
 
 
 def test_the_program_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", (DOCS / "faithful.md").read_text(), re.S)
-    exec(compile(program, "faithful.md", "exec"), {})
+    run_programs("docs/faithful.md")
     said = capsys.readouterr().out
     assert "(4, 3)" in said and "other 2 heading sine" in said

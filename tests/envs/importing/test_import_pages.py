@@ -9,7 +9,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from test_import import animarl
+from commands import animarl
+from pages import run_programs
 
 from animarl_envs.importing.readers import registry
 from tools.fuzz.layouts import KINDS, POSE, write_slp
@@ -88,16 +89,9 @@ def expanded(word: str) -> list[str]:
 
 def test_python_of_the_reader_pages_runs() -> None:
     for page in ("cleaning.md", "readers.md"):
-        for part in (PAGES / page).read_text().split("```python\n")[1:]:
-            exec(compile(part.split("```")[0], page, "exec"), {"__name__": page})
+        run_programs(f"docs/data/{page}")
     assert "two-columns" in {reader.name for reader in registry.available_readers()}
     registry._READERS.pop("two-columns")
-
-
-def test_links_between_the_import_pages_lead_somewhere() -> None:
-    for page in PAGES.glob("*.md"):
-        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
-            assert (PAGES / target).exists(), f"{page.name} links to {target}"
 
 
 # -- the fitting table ---------------------------------------------------------------------------
