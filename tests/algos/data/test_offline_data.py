@@ -1,13 +1,13 @@
 """Demonstrations as minibatches, and the penalty of every action by the fitted dynamics."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from recordings import SYNTHETIC
 from refusals import refuses
 
 from animarl_algos import DQN, SoftBC
@@ -25,10 +25,8 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import one_step_misses, track
-from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import focus_directions
-from animarl_envs.importing.readers import read
-from animarl_envs.locomotion import COAST, NUM_ACTIONS, Locomotion, apply_actions, infer_actions
+from animarl_envs.locomotion import COAST, NUM_ACTIONS, Locomotion, apply_actions
 from animarl_envs.worlds import Mirror, demonstration_observations
 
 ROLES = ("pursuer", "pursuer", "target")
@@ -122,25 +120,6 @@ def test_every_entry_equals_the_demonstrations() -> None:
     assert [sorted(mine) for mine in seen] == [kept.tolist()] * 3
 
 
-def test_an_individual_alone_sees_what_it_sees_with_others() -> None:
-    data = arrays()
-    together = OfflineDataset(**data)
-    per_individual = ("observations", "actions", "rewards", "action_penalties")
-    for k, name in enumerate(NAMES):
-        mine = data | {key: data[key][:, k : k + 1] for key in per_individual} | {"names": (name,)}
-        alone = OfflineDataset(**mine)
-        pairs = zip(
-            together.batches(3, np.random.default_rng(5)),
-            alone.batches(3, np.random.default_rng(5)),
-            strict=True,
-        )
-        for whole, single in pairs:
-            np.testing.assert_array_equal(whole.indices[k], single.indices[0])
-            steps = single.num_steps
-            np.testing.assert_array_equal(whole.rewards[k, :steps], single.rewards[0])
-            assert not whole.mask[k, steps:].any()
-
-
 def test_the_full_pass_is_the_same_for_all_and_longest_first() -> None:
     dataset = OfflineDataset(**arrays())
     batches = [(b.indices.copy(), b.lengths[0].tolist()) for b in dataset.batches(2)]
@@ -194,20 +173,11 @@ def recording(
             positions[t + 1] = positions[t] + velocity * DT
     actions[[29, 49]] = -1
     demos = Demonstrations(
-        species="custom",
-        individuals=NAMES,
-        roles=ROLES,
-        dt=DT,
-        arena=Arena("open"),
-        positions=positions + rng.normal(size=positions.shape) * noise,
-        lengths=lengths,
-        initial_velocity=initial,
-        condition=np.zeros(2),
-        outcome=np.zeros(2),
-        split=np.array(["train", "val"]),
-        recording=np.array(["a", "b"]),
-        provenance={"source": "test", "licence": "none", "synthetic": True},
-    )
+        species="custom", individuals=NAMES, roles=ROLES, dt=DT, arena=Arena("open"),
+        positions=positions + rng.normal(size=positions.shape) * noise, lengths=lengths,
+        initial_velocity=initial, condition=np.zeros(2), outcome=np.zeros(2),
+        split=np.array(["train", "val"]), recording=np.array(["a", "b"]), provenance=SYNTHETIC,
+    )  # fmt: skip
     return demos, actions, fitted, demos.focus()
 
 
@@ -226,30 +196,6 @@ def test_the_action_taken_leads_exactly_to_the_next_position() -> None:
     assert not penalties[[29, 49]].any()
 
 
-def test_the_inferred_action_has_the_smallest_penalty() -> None:
-    demos, _, fitted, focus = recording(noise=0.003)
-    velocity = demos.velocities()
-    penalties = one_step_misses(demos, fitted)
-    steps = np.setdiff1d(np.arange(50), [29, 49])
-    for k, model in enumerate(fitted):
-        inferred = infer_actions(
-            velocity[steps, k], velocity[steps + 1, k], focus[steps, k], model, DT
-        )
-        np.testing.assert_array_equal(penalties[steps, k].argmin(axis=1), inferred)
-        assert penalties[steps, k].min(axis=1).max() > 1e-4  # the noise is felt
-
-
-@pytest.mark.realdata
-def test_recorded_actions_have_the_smallest_penalty(data_dir: Path) -> None:
-    demos = read(data_dir / "agents_collab_hunting" / "episodes_c2ae_share_slow2.4.npz")
-    demos = demos.select(episodes=np.arange(60))
-    fitted = [Locomotion(0.25, u) for u in (2.4, 2.4, 3.0)]
-    penalties = one_step_misses(demos, fitted)
-    recorded = demos.signals["actions"]
-    taken = recorded >= 0
-    assert (penalties.argmin(axis=2)[taken] == recorded[taken]).all()
-
-
 def test_penalties_by_the_locomotion_of_others_are_refused() -> None:
     demos, _, fitted, _ = recording(noise=0.0)
     refuses("for 3 individuals: give one set each", one_step_misses, demos, fitted[:2])
@@ -259,7 +205,6 @@ def test_penalties_by_the_locomotion_of_others_are_refused() -> None:
 
 
 A = 13
-# -- soft labels ----------------------------------------------------------------------------------
 
 
 def test_a_known_answer() -> None:
@@ -276,14 +221,6 @@ def test_wide_labels_know_nothing_and_narrow_ones_name_the_nearest() -> None:
     narrow = soft_labels(penalties, 1.0, 1e-5)
     np.testing.assert_array_equal(narrow.argmax(-1), penalties.argmin(-1))
     assert narrow.max(-1).min() > 0.999
-
-
-def test_units_are_of_each_individual() -> None:
-    """An animal that moves twice as far has the same labels for errors twice as large."""
-    penalties = np.random.default_rng(1).random((20, 2, A))
-    step = np.array([1.0, 2.0])[None, :, None]
-    doubled = soft_labels(penalties * step, step, 0.35)
-    np.testing.assert_allclose(doubled, soft_labels(penalties, 1.0, 0.35), rtol=1e-5)
 
 
 # -- of a species ---------------------------------------------------------------------------------
@@ -303,28 +240,6 @@ def test_a_species_soft_labels_prefer_what_inverse_dynamics_infers() -> None:
     assert torch.equal(batch.actions[labelled], labels)
 
 
-@dataclass(frozen=True)
-class Followed:
-    positions: NDArray[np.float64]
-    actions: NDArray[np.int64]
-
-
-def test_tracked_demonstrations_are_seen_from_where_the_simulation_is() -> None:
-    demos, species = load_packaged("fly"), SPECIES["fly"]
-    shift = 1e-3 * np.sin(np.arange(len(demos.positions)))[:, None, None]
-    actions = demonstrated_actions(demos, species.locomotion).astype(np.int64)
-    turned = np.where(actions >= 0, (actions + 1) % A, -1)
-    followed = Followed(demos.positions + shift, turned)
-    given = SpeciesDemonstrations(species, demos, demos.individuals, labels="tracking")
-    given.__dict__["tracked"] = followed
-    data = given.train
-    own = replace(demos, positions=followed.positions).select(split="train")
-    within = np.repeat(demos.split == "train", demos.lengths)
-    expected = demonstration_observations(species, own)
-    np.testing.assert_allclose(data._frames.observations, expected, rtol=1e-6)
-    np.testing.assert_array_equal(data._frames.actions, turned[within])
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -337,22 +252,21 @@ def test_bad_labels_are_refused_with_the_environment(options, message: str) -> N
     refuses(message, SlotVecEnv, "fly", 1, **options)
 
 
-def test_the_horizon_of_tracking_labels_reaches_the_tracking() -> None:
+@pytest.mark.parametrize(("options", "horizon"), [({}, 1.0), ({"label_horizon": 3.0}, 3.0)])
+def test_tracking_labels_are_those_of_the_simulation_seen_from_where_it_is(
+    options: dict[str, float], horizon: float
+) -> None:
     exact = load_packaged("fly")
     noise = np.random.default_rng(0).normal(0.0, 2e-3, exact.positions.shape)
     demos = learnable(replace(exact, positions=exact.positions + noise))
-
-    def labelled(**options: float) -> NDArray[np.int64]:
-        env = SlotVecEnv("fly", 1, demos=demos, labels="tracking", **options)
-        return env.offline_data().train._frames.actions
-
+    env = SlotVecEnv("fly", 1, demos=demos, labels="tracking", **options)
+    species, frames = env.scenario.species, env.offline_data().train._frames
+    followed = track(demos, species.locomotion, species.arena, horizon=horizon)
     within = np.repeat(demos.split == "train", demos.lengths)
-    species = SlotVecEnv("fly", 1, demos=demos).scenario.species
-    for options, horizon in (({}, 1.0), ({"label_horizon": 3.0}, 3.0)):
-        followed = track(demos, species.locomotion, species.arena, horizon=horizon)
-        np.testing.assert_array_equal(labelled(**options), followed.actions[within])
-    assert (labelled() != labelled(label_horizon=3.0)).any()
-    refuses(r"horizon is 0\.0", labelled, label_horizon=0.0)
+    np.testing.assert_array_equal(frames.actions, followed.actions[within])
+    simulated = replace(demos, positions=followed.positions).select(split="train")
+    expected = demonstration_observations(species, simulated)
+    np.testing.assert_allclose(frames.observations, expected, rtol=1e-6, atol=1e-6)
 
 
 # -- windows and mirrors --------------------------------------------------------------------------
@@ -420,27 +334,6 @@ def test_every_step_is_drawn_as_often(length: int) -> None:
     np.testing.assert_allclose(counts[steps] / counts[steps].mean(), 1.0, atol=0.1)
 
 
-def test_an_individual_alone_draws_the_windows_it_draws_with_others() -> None:
-    data = arrays()
-    together = OfflineDataset(**data)
-    per_individual = ("observations", "actions", "rewards", "action_penalties")
-    for k, name in enumerate(NAMES):
-        mine = data | {key: data[key][:, k : k + 1] for key in per_individual} | {"names": (name,)}
-        options = {"length": 2, "burn_in": 1}
-        pairs = zip(
-            together.windows(4, 5, np.random.default_rng(5), **options),
-            OfflineDataset(**mine).windows(4, 5, np.random.default_rng(5), **options),
-            strict=True,
-        )
-        for whole, single in pairs:
-            np.testing.assert_array_equal(whole.indices[k], single.indices[0])
-            trained = single.mask.shape[1] - single.burn_in
-            np.testing.assert_array_equal(
-                whole.labels[k, whole.burn_in : whole.burn_in + trained],
-                single.labels[0, single.burn_in :],
-            )
-
-
 def test_half_of_the_windows_are_in_the_mirror() -> None:
     plain = OfflineDataset(**arrays(), label_shares=shares())
     mirrored = OfflineDataset(**arrays(), label_shares=shares(), mirror=MIRROR)
@@ -462,9 +355,7 @@ def test_labels_are_mirrored_with_what_is_seen() -> None:
     labelled = one.labels >= 0
     assert torch.equal(image.labels[~labelled], one.labels[~labelled])
     assert torch.equal(
-        image.labels[labelled],
-        (12 - one.labels[labelled]) % 12 * (one.labels[labelled] < 12)
-        + 12 * (one.labels[labelled] == 12),
+        image.labels[labelled], torch.from_numpy(MIRROR.actions)[one.labels[labelled]]
     )
     own = one.label_shares[labelled].gather(1, one.labels[labelled][:, None])
     there = image.label_shares[labelled].gather(1, image.labels[labelled][:, None])

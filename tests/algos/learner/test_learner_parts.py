@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import toys
-from pair_learners import SETTINGS, make_pair_learner, weights
+from pair_learners import SETTINGS, Interrupt, make_pair_learner, weights
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
@@ -196,32 +196,15 @@ def test_a_callback_may_stop_at_any_step(train_freq: tuple[int, str], tmp_path: 
         assert model._episode_num == straight._episode_num
 
 
-def interrupt() -> None:
-    os.kill(os.getpid(), signal.SIGINT)
-
-
 def test_ctrl_c_in_the_last_rollout_is_raised(tmp_path: Path) -> None:
-    class Interrupt(CheckpointCallback):
-        def _on_step(self) -> bool:
-            if self.model.num_timesteps == 100:
-                interrupt()
-            return True
-
     with pytest.raises(KeyboardInterrupt):
-        make_pair_learner("dqn").learn(100, callback=Interrupt(tmp_path, every=10_000))
+        make_pair_learner("dqn").learn(100, callback=Interrupt(tmp_path, 100))
     assert latest_checkpoint(tmp_path) is not None
 
 
 def test_a_callback_that_was_interrupted_serves_again(tmp_path: Path) -> None:
     """As in a notebook, where the cell that learns is run once more."""
-
-    class InterruptOnce(CheckpointCallback):
-        def _on_step(self) -> bool:
-            if self.model.num_timesteps == 100:
-                interrupt()
-            return True
-
-    callback, model = InterruptOnce(tmp_path, every=10_000), make_pair_learner("dqn")
+    callback, model = Interrupt(tmp_path, 100), make_pair_learner("dqn")
     with pytest.raises(KeyboardInterrupt):
         model.learn(WHOLE_RUN, callback=callback)
     model.learn(WHOLE_RUN - model.num_timesteps, callback=callback, reset_num_timesteps=False)
@@ -235,7 +218,7 @@ def test_ctrl_c_in_the_last_epoch_is_raised(
 
     def last_is_interrupted(phase: Pretraining, data: Any) -> Any:
         if phase.progress.epoch == 1:
-            interrupt()
+            os.kill(os.getpid(), signal.SIGINT)
         return train_epoch(phase, data)
 
     monkeypatch.setattr(Pretraining, "train_epoch", last_is_interrupted)

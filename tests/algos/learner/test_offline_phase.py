@@ -9,15 +9,15 @@ import pytest
 import torch
 import toys
 from pair_learners import SETTINGS, Split, demonstrations, make_pair_learner, weights
+from refusals import refuses
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
-from animarl_algos.learner.pretraining import Pretraining, _decay
+from animarl_algos.learner.pretraining import Pretraining
 from animarl_algos.learner.settings import OfflineSettings
 from animarl_algos.recipes.registry import SoftBC
-from animarl_envs.errors import InputError
 
 STEPS = {
     "sequence_length": 1, "updates_per_epoch": 20, "warm_up": 10, "anneal": True,
@@ -77,13 +77,8 @@ def test_individuals_together_are_individuals_alone(policy: str) -> None:
     if policy == "GruPolicy":  # where Adam's quotient would blow the rounding of no gradient up
         kwargs |= {"skip": True, "optimizer_kwargs": {"eps": 1e-3}}
         rate = 0.01
-    together = cloning(
-        policy,
-        offline_patience=2,
-        offline_epochs=8,
-        offline_learning_rate=rate,
-        policy_kwargs=kwargs,
-    )
+    phase = {"offline_patience": 2, "offline_epochs": 8, "offline_learning_rate": rate}
+    together = cloning(policy, **phase, policy_kwargs=kwargs)
     progress = together.pretrain()
     if policy == "MlpPolicy":
         assert len(set(progress.best_epochs)) == 2  # or nothing is shown of their ends
@@ -91,19 +86,12 @@ def test_individuals_together_are_individuals_alone(policy: str) -> None:
         env = toys.Pair(2)
         env.individuals = (who,)
         toys.VecEnv.__init__(env, 2, env.observation_space, env.action_space)
-        settings = SETTINGS | {
-            "policy_kwargs": together.policy_kwargs,
-            "offline_kwargs": together.offline_kwargs,
-            "offline_learning_rate": rate,
-            "offline_batch_size": 64,
-            "offline_epochs": 8,
-            "offline_patience": 2,
-        }
+        settings = SETTINGS | phase | {"offline_batch_size": 64}
+        settings |= {name: getattr(together, name) for name in ("policy_kwargs", "offline_kwargs")}
         alone = SoftBC(policy, env, demonstrations=demonstrations(individuals=(who,)), **settings)
         assert alone.pretrain().best_epochs == progress.best_epochs[k : k + 1]
-        for ours, own in zip(
-            together.policy.q_net.parameters(), alone.policy.q_net.parameters(), strict=True
-        ):
+        nets = (together.policy.q_net, alone.policy.q_net)
+        for ours, own in zip(*(net.parameters() for net in nets), strict=True):
             torch.testing.assert_close(ours[k], own[0], rtol=1e-3, atol=1e-4)
 
 
@@ -145,9 +133,7 @@ def test_individuals_that_share_a_network_learn_from_each_other(policy: str) -> 
         split.append(OfflineDataset(observations, actions, np.full(48, 5), 3, names=names))
     figure = {}
     for shared in (False, True):
-        kwargs = {"hidden": 16, "shared": shared} | (
-            {"skip": True} if policy == "GruPolicy" else {}
-        )
+        kwargs = {"hidden": 16, "shared": shared, "skip": policy == "GruPolicy"}
         model = cloning(policy, demonstrations=Split(*split), policy_kwargs=kwargs)
         progress = model.pretrain()
         figure[shared] = float(np.mean(progress.best_figures))
@@ -157,33 +143,10 @@ def test_individuals_that_share_a_network_learn_from_each_other(policy: str) -> 
         torch.testing.assert_close(weight[0], weight[1], rtol=0, atol=1e-6)
 
 
-def test_what_standardises_makes_units_irrelevant() -> None:
-    """Observations in other units, from another origin: the same learning."""
-
-    def scaled(data: OfflineDataset) -> OfflineDataset:
-        frames = data._frames
-        return OfflineDataset(
-            1000.0 * frames.observations.astype(np.float64) - 400.0, frames.actions,
-            data._sequences.frames, 3, names=data.names,
-        )  # fmt: skip
-
-    plain = demonstrations()
-    there = Split(scaled(plain.train), scaled(plain.val))
-    one, other = (
-        cloning(demonstrations=data, offline_epochs=3).pretrain().history for data in (plain, there)
-    )
-    for here, elsewhere in zip(one, other, strict=True):
-        for key, value in here.items():
-            assert elsewhere[key] == pytest.approx(value, abs=2e-2), key
-
-
 def test_the_average_follows_the_weights() -> None:
     """By its recursion, from snapshots after each of five updates."""
-    model = cloning(
-        "MlpPolicy",
-        offline_kwargs=STEPS | {"updates_per_epoch": 1, "average": 0.3},
-        offline_epochs=5,
-    )
+    one_update = STEPS | {"updates_per_epoch": 1, "average": 0.3}
+    model = cloning("MlpPolicy", offline_kwargs=one_update, offline_epochs=5)
     snapshots, averages = [], []
     train_epoch = Pretraining.train_epoch
 
@@ -192,9 +155,8 @@ def test_the_average_follows_the_weights() -> None:
         average = phase.progress.average_weights
         assert average is not None
         snapshots.append([p.detach().clone() for p in phase.policy.q_net.parameters()])
-        averages.append(
-            [average[name].clone() for name, _ in phase.policy.q_net.named_parameters()]
-        )
+        names = [name for name, _ in phase.policy.q_net.named_parameters()]
+        averages.append([average[name].clone() for name in names])
         return row
 
     start = [p.detach().clone() for p in model.policy.q_net.parameters()]
@@ -210,20 +172,11 @@ def test_the_average_follows_the_weights() -> None:
 
 def test_the_rate_warms_up_and_anneals() -> None:
     settings = OfflineSettings(sequence_length=1, warm_up=4, anneal=True)
-    assert [settings.rate_factor(u, 10**9) for u in range(5)] == pytest.approx(
-        [0.25, 0.5, 0.75, 1.0, 1.0]
-    )
+    factors = [settings.rate_factor(u, 10**9) for u in range(5)]
+    assert factors == pytest.approx([0.25, 0.5, 0.75, 1.0, 1.0])
     assert settings.rate_factor(50, 100) == pytest.approx(0.5)
     assert settings.rate_factor(100, 100) == pytest.approx(0.0)
     assert OfflineSettings().rate_factor(99, 100) == 1.0
-
-
-def test_decay_takes_a_share_of_every_weight() -> None:
-    network = cloning().policy.q_net
-    before = [p.detach().clone() for p in network.parameters()]
-    _decay(network, 0.1)
-    for old, new in zip(before, network.parameters(), strict=True):
-        torch.testing.assert_close(new.detach(), 0.9 * old)
 
 
 def test_few_demonstrations_have_short_epochs() -> None:
@@ -251,5 +204,4 @@ def test_few_demonstrations_have_short_epochs() -> None:
     ],
 )
 def test_bad_settings_are_refused(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        make_pair_learner("bc", offline_kwargs=given)
+    refuses(message, make_pair_learner, "bc", offline_kwargs=given)

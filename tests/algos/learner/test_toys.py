@@ -162,13 +162,9 @@ def opposite_demonstrations() -> tuple[Split, np.ndarray, np.ndarray]:
     observations[..., -1] = np.repeat(condition, steps)[:, None]
     actions = ((observations[..., 1] > 0) ^ (observations[..., -1] > 0)).astype(np.int64)
     dataset = OfflineDataset(
-        observations,
-        actions,
-        np.full(episodes, steps),
-        toys.Confounded.num_actions,
-        condition=condition,
-        names=("agent",),
-    )
+        observations, actions, np.full(episodes, steps), toys.Confounded.num_actions,
+        condition=condition, names=("agent",),
+    )  # fmt: skip
     return Split(dataset, dataset), observations[:, 0].astype(np.float32), actions[:, 0]
 
 

@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,19 +11,17 @@ import pytest
 import torch
 import toys
 from numpy.typing import NDArray
-from pair_learners import Split, evaluated, make_pair_learner, weights
+from pair_learners import Split, evaluated, make_pair_learner
+from refusals import refuses
 from torch.nn import functional
 
 from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.learner.callbacks import CheckpointCallback
-from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, Phase, next_values
 from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import values_to_logits, zero_value_stream
 from animarl_algos.recipes.registry import IQLearn
-from animarl_envs.errors import InputError
 
 LOG2, LOG3 = math.log(2.0), math.log(3.0)
 
@@ -198,27 +195,10 @@ def test_it_acts_at_temperature_one(offline_epochs: int) -> None:
 
 
 def test_it_samples_and_needs_demonstrations() -> None:
-    with pytest.raises(InputError, match=r"'epsilon' and recipe iq-learn .* set it to 'boltzmann'"):
-        make_pair_learner("iq-learn", exploration="epsilon")
-    with pytest.raises(InputError, match="iq-learn learns from demonstrations and neither it nor"):
-        make_pair_learner("iq-learn", offline_epochs=0, demonstrations=None)
-
-
-def test_a_resumed_run_is_bit_equal(tmp_path: Path) -> None:
-    class Stop(CheckpointCallback):
-        def at_boundary(self) -> None:
-            super().at_boundary()
-            if self.model.num_timesteps >= 100:
-                raise KeyboardInterrupt
-
-    straight = make_pair_learner("iq-learn").learn(200)
-    with pytest.raises(KeyboardInterrupt):
-        make_pair_learner("iq-learn").learn(200, callback=Stop(tmp_path, every=70))
-    resumed = make_pair_learner("iq-learn")
-    load_checkpoint(resumed, tmp_path)
-    assert 0 < resumed._n_updates < straight._n_updates
-    resumed.learn(200 - resumed.num_timesteps, reset_num_timesteps=False)
-    assert torch.equal(weights(straight), weights(resumed))
+    told = r"'epsilon' and recipe iq-learn .* set it to 'boltzmann'"
+    refuses(told, make_pair_learner, "iq-learn", exploration="epsilon")
+    told = "iq-learn learns from demonstrations and neither it nor"
+    refuses(told, make_pair_learner, "iq-learn", offline_epochs=0, demonstrations=None)
 
 
 # -- an expert that is known ----------------------------------------------------------------------

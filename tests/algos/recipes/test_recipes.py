@@ -18,12 +18,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger, configure
 
-from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.recipes.registry import DQDIL, DQN, RECIPES, named_recipe
-from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.wrappers import DTWReward
 
 
@@ -120,15 +116,6 @@ def test_inputs_that_an_offline_phase_left_as_they_were_stay_so_online() -> None
     assert torch.isinf(model.policy.q_net.input_limit).all()
 
 
-def test_steps_are_counted_world_options() -> None:
-    model = make_pair_learner("dqn").learn(50)
-    assert model.n_envs == 4 and model.layout.num_copies == 2
-    assert model.num_timesteps == 50
-    assert model.replay_buffer is not None
-    running = int(model.replay_buffer.staging.step_count.sum())
-    assert model.replay_buffer.num_steps + running == 50
-
-
 def test_progress_callbacks_and_logs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,17 +134,11 @@ def test_progress_callbacks_and_logs(
     bars = capsys.readouterr().err
     assert "60/60" in bars and "2/2" in bars
     columns = (tmp_path / "progress.csv").read_text().splitlines()[0].split(",")
-    for column in (
-        "offline/val/mean_rank/seeker",
-        "offline/val/treatment_balanced_accuracy",
-        "train/td/avoider",
-        "train/treatment/seeker",
-        "train/treatment_balanced_accuracy/seeker",
-        "rollout/exploration_rate",
-        "rollout/buffer_episodes",
-        "time/fps",
-    ):
-        assert column in columns
+    assert set(columns) >= {
+        "offline/val/mean_rank/seeker", "offline/val/treatment_balanced_accuracy",
+        "train/td/avoider", "train/treatment/seeker", "train/treatment_balanced_accuracy/seeker",
+        "rollout/exploration_rate", "rollout/buffer_episodes", "time/fps",
+    }  # fmt: skip
 
 
 def test_the_logged_balanced_accuracy_is_of_all_updates_since_the_last_log() -> None:
@@ -174,23 +155,6 @@ def test_the_logged_balanced_accuracy_is_of_all_updates_since_the_last_log() -> 
     model.set_logger(Seen(None, []))
     model.learn(300, log_interval=10)
     assert Seen.figures and all(0.0 <= figure <= 1.0 for figure in Seen.figures)
-
-
-@pytest.mark.parametrize("prioritized", [False, True])
-def test_updates_follow_episodes(prioritized: bool) -> None:
-    model = make_pair_learner("dqn", prioritized=prioritized, updates_per_episode=0.5).learn(120)
-    assert model._n_updates == model._episode_num // 2
-
-
-def test_the_first_steps_are_random_whatever_the_temperature() -> None:
-    model = DQN("GruPolicy", toys.Pair(2), **SETTINGS, learning_starts=150)
-    model.policy.acting = Acting.boltzmann(1e-9)
-    assert model.replay_buffer is not None
-    model.learn(150)
-    chosen = model.replay_buffer.ring.frames.actions[model.replay_buffer.ring.used_rows]
-    counts = np.bincount(chosen[chosen >= 0], minlength=3)
-    assert counts.min() > 0.2 * counts.sum()
-    assert model.policy.acting == Acting.boltzmann(1e-9)
 
 
 def test_a_ctrl_c_in_the_random_steps_keeps_the_temperature(
@@ -321,26 +285,6 @@ def test_individuals_together_are_individuals_alone(name: str, in_double: None) 
             torch.testing.assert_close(stacked[k], single[0], atol=1e-10, rtol=1e-10)
 
 
-# -- after offline training the demonstrated action ranks high among the thirteen (validation) ----
-
-
-CHANCE = 3 / 13
-
-
-@pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-bc", "qr-dqaas", "qr-dqdil-pt"])
-def test_the_demonstrated_action_is_among_the_top_three(name: str) -> None:
-    """On the packaged agents; benchmarks/ranks.py gives the shares after whole training."""
-    overrides = {"offline_epochs": 2, "offline_learning_rate": 1e-2, "buffer_size": 2000}
-    preset = learner_preset(name, "AnimaRL/Agent-v0", "default", overrides)
-    env = SlotVecEnv("agent", 1, **preset.env_kwargs)
-    arguments = constructed(preset.arguments)
-    model = named_recipe(name).algorithm(env=env, seed=0, device="cpu", **arguments)
-    progress = model.pretrain()
-    figures = progress.history[progress.best_epoch - 1]
-    assert figures["val/top_3"] > 2 * CHANCE
-    assert all(figures[f"val/top_3/{who}"] > 1.5 * CHANCE for who in env.individuals)
-
-
 # -- what joins the parts of a learner: each schedule, state and weight reaches where it belongs --
 
 
@@ -355,30 +299,13 @@ WIRING: dict[str, Any] = {
 }
 
 
-def learner(
-    recipe: type[SequenceQLearning] = DQDIL, **more: Any
-) -> tuple[SequenceQLearning, ScriptedPair]:
-    env = ScriptedPair(2)
-    return recipe("GruPolicy", env, **WIRING | more), env
-
-
-def stored(model: SequenceQLearning, columns: int = 200) -> SequenceBatch:
-    """Enough draws to have met every sequence of the memory."""
-    assert model.replay_buffer is not None
-    return model.replay_buffer.sample(columns)
-
-
 # -- schedules ------------------------------------------------------------------------------------
 
 
 def test_steps_before_learning_starts_are_acted_at_random() -> None:
-    model, env = learner(
-        learning_starts=200,
-        updates_per_episode=0.0,
-        exploration_initial_eps=0.0,
-        exploration_final_eps=0.0,
-    )
-    model.learn(400)
+    env, greedily = ScriptedPair(2), {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+    late = greedily | {"learning_starts": 200, "updates_per_episode": 0.0}
+    model = DQDIL("GruPolicy", env, **WIRING, **late).learn(400)
     greedy = []
     state, begins = model.policy.initial_state(4), np.ones(4, dtype=bool)
     for step in env.steps:
@@ -390,23 +317,6 @@ def test_steps_before_learning_starts_are_acted_at_random() -> None:
         state, begins = (hidden, acted), np.repeat(step.done, 2)
     assert np.mean(greedy[:100]) == pytest.approx(1 / 3, abs=0.1)  # four standard errors
     assert np.all(greedy[100:])
-
-
-# -- replay ---------------------------------------------------------------------------------------
-
-
-def test_an_ended_episode_is_forgotten_in_its_own_slots() -> None:
-    model, _ = learner(learning_starts=NEVER)
-    ended = going = 0
-    model.learn(2)
-    for _ in range(40):
-        begins = model._last_episode_starts
-        hidden, previous = model.memory
-        assert (hidden[begins] == 0.0).all() and (previous[begins] == 3).all()
-        assert hidden[~begins].any(axis=1).all() and (previous[~begins] < 3).all()
-        ended, going = ended + begins.sum(), going + (~begins).sum()
-        model.learn(2, reset_num_timesteps=False)
-    assert ended > 5 and going > 5
 
 
 def test_the_task_reward_is_stored_where_the_reward_is_shaped_already() -> None:
@@ -425,14 +335,12 @@ def test_the_task_reward_is_stored_where_the_reward_is_shaped_already() -> None:
             return True
 
     model.learn(400, callback=Watch())
-    batch = stored(model, 20)
+    assert model.replay_buffer is not None
+    batch = model.replay_buffer.sample(20)
     for column, episode in enumerate(batch.indices[0]):
         found = batch.rewards[0, : len(task[episode]), column].numpy()
         np.testing.assert_array_equal(found, np.float32(task[episode]))
         assert not np.allclose(found, shaped[episode])
-
-
-# -- update ---------------------------------------------------------------------------------------
 
 
 # -- the offline phase ----------------------------------------------------------------------------
@@ -522,12 +430,9 @@ def test_a_run_equals_its_reference(name: str, memory: str) -> None:
                 )
         moved = [(reference.online[n] - begun[n]).abs().max() for n in begun]
         assert max(moved) > 100 * TOLERANCE
-        np.testing.assert_allclose(
-            buffer.trees.priorities[k][: buffer.num_sequences],
-            np.array(reference.priorities) ** ALPHA,
-            rtol=0.0,
-            atol=TOLERANCE,
-        )
+        held = buffer.trees.priorities[k][: buffer.num_sequences]
+        expected = np.array(reference.priorities) ** ALPHA
+        np.testing.assert_allclose(held, expected, rtol=0.0, atol=TOLERANCE)
 
 
 def test_the_run_holds_every_case() -> None:

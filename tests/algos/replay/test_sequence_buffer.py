@@ -149,27 +149,6 @@ def test_content_equals_a_plain_reference(
         np.testing.assert_array_equal(batch.active, observed.sum(axis=2).max(axis=0))
 
 
-def test_a_time_out_bootstraps_and_a_contact_does_not() -> None:
-    buffer = SequenceReplayBuffer(100, 1, 1, NUM_ACTIONS, 3, seed=1)
-    for episode, terminates in enumerate((False, True)):
-        for t in range(3):
-            value = np.full((1, 1, 1), 10.0 * episode + t)
-            done = np.array([t == 2])
-            buffer.add(
-                observations=value, actions=[[t]], next_observations=value + 0.5,
-                terminated=done & terminates, truncated=done & (not terminates),
-            )  # fmt: skip
-    batch = buffer.sample(8)
-    kinds = set()
-    for b in range(8):
-        first = float(batch.observations[0, 0, b, 0])
-        kinds.add(first)
-        assert batch.terminated[0, :, b].tolist() == [0.0, 0.0, float(first == 10.0)]
-        assert float(batch.observations[0, 3, b, 0]) == first + 2.5  # the terminal observation
-        assert batch.previous_actions[0, :, b].tolist() == [NUM_ACTIONS, 0, 1, 2]
-    assert kinds == {0.0, 10.0}
-
-
 @pytest.mark.parametrize(("dropped_at", "steps_kept"), [(3, 3), (8, 6)])
 def test_dropping_running_episodes_keeps_the_finished(dropped_at: int, steps_kept: int) -> None:
     """Both copies end an episode at the sixth step, and begin another that is not finished."""
@@ -324,19 +303,6 @@ def test_importance_weights_by_formula() -> None:
         np.testing.assert_allclose(batch.weights[0], weights / weights.max(), rtol=1e-5)
 
 
-def test_new_sequences_get_the_largest_priority_seen() -> None:
-    buffer, _ = filled_with_priorities(alpha=1.0)
-    count = buffer.num_sequences
-    # The episode with the largest error loses it; a new one still enters with that error.
-    buffer.update_priorities(np.array([[count - 1]]), np.array([[0.5]]))
-    for step in Stream(1, 1, 2, 4, seed=9, end_rate=2.0).steps(1):
-        buffer.add(**step)
-    assert buffer.num_sequences == count + 1
-    held = buffer.trees.priorities[0, : count + 1]
-    assert held[count - 1] == pytest.approx(0.5, abs=1e-5)
-    assert held[count] == pytest.approx(count, abs=1e-5)
-
-
 def test_errors_of_evicted_sequences_change_nothing() -> None:
     stream = Stream(1, 1, 2, 4, seed=3)
     buffer = make_buffer(stream, 12)
@@ -365,8 +331,8 @@ def test_memory_is_stated_and_only_its_used_part_is_saved() -> None:
 
 def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sequence_buffer, "available_memory", lambda: 10 * 2**20)
-    with pytest.raises(InputError, match=r"buffer_size 1000000 needs .* GiB .* available"):
-        SequenceReplayBuffer(1_000_000, 18, 3, 13, 148)
+    needs = r"buffer_size 1000000 needs .* GiB .* available"
+    refuses(needs, SequenceReplayBuffer, 1_000_000, 18, 3, 13, 148)
     refuses("5000 copies", SequenceReplayBuffer, 1000, 18, 3, 13, 148, 5000)
 
 
@@ -381,14 +347,8 @@ def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -
     ],
 )
 def test_bad_settings_are_refused(options: dict[str, Any], message: str) -> None:
-    sizes = {
-        "buffer_size": 100,
-        "observation_dim": 3,
-        "num_individuals": 2,
-        "num_actions": 5,
-        "max_episode_steps": 9,
-    }
-    refuses(message, SequenceReplayBuffer, **sizes | options)
+    sizes = {"observation_dim": 3, "num_individuals": 2, "num_actions": 5, "max_episode_steps": 9}
+    refuses(message, SequenceReplayBuffer, **{"buffer_size": 100} | sizes | options)
 
 
 def test_bad_steps_are_refused() -> None:
@@ -402,8 +362,8 @@ def test_bad_steps_are_refused() -> None:
     with pytest.raises(InputError, match="past 4 steps"):
         for _ in range(5):
             buffer.add(**step | {"truncated": np.zeros(2, dtype=bool)})
-    with pytest.raises(InputError, match="finite"):
-        buffer.update_priorities(np.zeros((2, 1), dtype=np.int64), np.full((2, 1), np.nan))
+    undefined = np.full((2, 1), np.nan)
+    refuses("finite", buffer.update_priorities, np.zeros((2, 1), dtype=np.int64), undefined)
 
 
 # -- its state ------------------------------------------------------------------------------------
@@ -418,10 +378,7 @@ def test_a_restored_buffer_goes_on_identically(kind: str, tmp_path: Path) -> Non
         "uniform": {"prioritized": False},
     }[kind]
     steps = list(stream.steps(120))
-    one, other = (
-        make_buffer(stream, 60, seed=1, **options),
-        make_buffer(stream, 60, seed=2, **options),
-    )
+    one, other = (make_buffer(stream, 60, seed=seed, **options) for seed in (1, 2))
 
     def go(buffer: SequenceReplayBuffer, part: list[dict[str, Any]]) -> list[SequenceBatch]:
         batches = []
