@@ -79,8 +79,7 @@ def test_names_are_refused_in_demonstrations(kind: str, tmp_path: Path) -> None:
         {"individuals": (name, "x")}, {"species": name}, {"signals": {name: np.zeros(36)}},
         {"recording": np.array([name + "a" if kind == "nul" else name, "b", "c"])},
     ):  # fmt: skip
-        with pytest.raises(InputError):
-            replace(demos, **changes)  # type: ignore[arg-type]
+        refuses("", replace, demos, **changes)
 
 
 @pytest.mark.parametrize("name", ODD)

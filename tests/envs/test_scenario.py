@@ -9,15 +9,10 @@ from refusals import refuses
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import AGENT, SPECIES
+from animarl_envs.species import AGENT
 from animarl_envs.species.options import with_options
-
-
-def test_pursuers_do_not_apply_to_a_lone_searcher() -> None:
-    refuses("num_pursuers", with_options, SPECIES["silkmoth"], num_pursuers=2)
 
 
 def test_no_options_leave_the_species_as_it_is() -> None:
@@ -58,9 +53,7 @@ def test_only_the_chosen_split_is_handed_out() -> None:
         assert len(demos) == int((whole.split == split).sum())
 
 
-def test_more_pursuers_than_recorded_are_refused() -> None:
-    with pytest.raises(InputError, match="holds 2 pursuers: choose at most 2, or start='uniform'"):
-        make_scenario("agent", num_pursuers=3)
+def test_more_pursuers_than_recorded_start_without_recordings() -> None:
     scenario = make_scenario("agent", num_pursuers=5, demos=None)
     assert not scenario.paired
     assert len(scenario.names) == 6

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from commands import animarl
 from numpy.typing import NDArray
+from recordings import write_tracks
 from refusals import refuses
 
 from animarl_algos.cli.data import merged
@@ -31,26 +32,14 @@ def chase(number: int, frames: int = 40, apart: float = 100.0) -> NDArray[np.flo
     hare = 300.0 + np.cumsum(rng.normal(0, 2.0, (frames, 2)), axis=0)
     direction = rng.uniform(0, 2 * np.pi)
     gap = np.linspace(apart, 8.0, frames)[:, None]
-    return np.stack(
-        [hare + gap * [np.cos(direction), np.sin(direction)], hare], axis=1
-    )  # fmt: skip
-
-
-def write(path: Path, bodies: NDArray[np.float64], names: tuple[str, str]) -> Path:
-    rows = [
-        f"{t},{name},{x!r},{y!r}"
-        for t, frame in enumerate(bodies.tolist())
-        for name, (x, y) in zip(names, frame, strict=True)
-    ]
-    path.write_text("frame,id,x,y\n" + "\n".join(rows) + "\n")
-    return path
+    return np.stack([hare + gap * [np.cos(direction), np.sin(direction)], hare], axis=1)
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> list[Path]:
     """Twelve recordings of hunter and hare, six of each condition."""
     return [
-        write(tmp_path / f"{name}.csv", chase(i), ("hunter", "hare"))
+        write_tracks(tmp_path / f"{name}.csv", chase(i), ("hunter", "hare"))
         for i, name in enumerate(NAMES)
     ]
 
@@ -115,8 +104,8 @@ def test_metadata_from_names_of_recordings(files: list[Path], tmp_path: Path) ->
 
 def test_metadata_names_the_animals_of_each_recording(tmp_path: Path) -> None:
     """Different animals under different names, in either order: roles are their names."""
-    first = write(tmp_path / "one.csv", chase(0), ("anna", "bert"))
-    second = write(tmp_path / "two.csv", chase(1), ("zoe", "carl"))
+    first = write_tracks(tmp_path / "one.csv", chase(0), ("anna", "bert"))
+    second = write_tracks(tmp_path / "two.csv", chase(1), ("zoe", "carl"))
     (tmp_path / "s.csv").write_text(
         "Recording,individual,role,condition\none,anna,pursuer,0\none,bert,target,0\n"
         "two,carl,target,1\ntwo,zoe,pursuer,1\n"
@@ -174,8 +163,8 @@ def test_metadata_without_a_recording_or_of_nobody_is_refused(
 
 def test_metadata_of_scale_brings_recordings_of_several_cameras_together(tmp_path: Path) -> None:
     """The same chase through a lens of half the size is the same chase."""
-    near = write(tmp_path / "near.csv", chase(0), ("hunter", "hare"))
-    far = write(tmp_path / "far.csv", chase(0) / 2, ("hunter", "hare"))
+    near = write_tracks(tmp_path / "near.csv", chase(0), ("hunter", "hare"))
+    far = write_tracks(tmp_path / "far.csv", chase(0) / 2, ("hunter", "hare"))
     (tmp_path / "m.csv").write_text("recording,px_per_cm\nnear,20\nfar,10\n")
     out = tmp_path / "out.npz"
     said = animarl("import", near, far, "--fps", 10, "--metadata", tmp_path / "m.csv", "--out", out)
@@ -191,7 +180,7 @@ def test_metadata_of_scale_brings_recordings_of_several_cameras_together(tmp_pat
 def test_copies_of_other_sizes_keep_their_speeds_unless_each_is_scaled(tmp_path: Path) -> None:
     factors = (1.0, 0.5, 0.25, 1.0)
     files = [
-        write(tmp_path / f"r{i}.csv", chase(0) * factor, ("hunter", "hare"))
+        write_tracks(tmp_path / f"r{i}.csv", chase(0) * factor, ("hunter", "hare"))
         for i, factor in enumerate(factors)
     ]
     out = tmp_path / "out.npz"
@@ -260,19 +249,16 @@ def test_merged_metadata_of_two_files(files: list[Path], tmp_path: Path) -> None
     assert set(found.provenance["scales"]) == set(NAMES)
     assert not any("SCALES" in hint for hint in hints(found))
     assert join([read(sham), read(drug)]).num_episodes == 12
-    for more, message in (
-        ((sham,), "nothing to merge it with"),
-        ((sham, sham), "the same episodes"),
-    ):
-        refuses(message, merged, more)
-    for conditions, message in (("0", "one for each"), ("0,", "one for each")):
-        refuses(message, merged, [sham, drug], conditions)
+    refuses("nothing to merge it with", merged, (sham,))
+    refuses("the same episodes", merged, (sham, sham))
+    for conditions in ("0", "0,"):
+        refuses("one for each", merged, [sham, drug], conditions)
 
 
 def test_merged_metadata_tells_recordings_of_one_name_apart(tmp_path: Path) -> None:
     sets = []
     for i in range(2):
-        file = write(tmp_path / "trial.csv", chase(i), ("hunter", "hare"))
+        file = write_tracks(tmp_path / "trial.csv", chase(i), ("hunter", "hare"))
         out = tmp_path / f"day{i}.npz"
         animarl("import", file, "--fps", 10, "--target", "hare", "--arena-width", 900 + i,
                 "--out", out)  # fmt: skip

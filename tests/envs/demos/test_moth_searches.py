@@ -6,13 +6,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from refusals import refuses
-from typer.testing import CliRunner
 
 import animarl_envs  # noqa: F401  (registers the ids)
-from animarl_algos.cli.main import app
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import infer_actions
 from animarl_envs.species import SILKMOTH
 from tools.packaged_data.moth_comparison import comparison, rates
@@ -144,12 +141,6 @@ def test_searches_end_where_they_end() -> None:
     refuses("episodes is 0", search, SILKMOTH, 0, episodes=0, seed=0)
 
 
-def test_show_says_that_they_are_synthetic() -> None:
-    result = CliRunner().invoke(app, ["data", "show", "silkmoth"])
-    assert result.exit_code == 0, result.output
-    assert "SYNTHETIC" in result.output and "moth reached the source" in result.output
-
-
 def test_table_of_rates_has_a_row_per_case() -> None:
     head, rows = rates(8, 0, None)
     assert len(rows) == 6 and {len(row) for row in [head, *rows]} == {5}
@@ -161,7 +152,7 @@ def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_plume_without_its_demonstrations_is_refused_with_the_mend() -> None:
-    with pytest.raises(InputError, match=r"pattern 1, .* or pass demos=None"):
-        gym.make("AnimaRL/Silkmoth-v0", train_plumes=(0,), test_plumes=(4,))
+    own = {"train_plumes": (0,), "test_plumes": (4,)}
+    refuses("pattern 1, .* or pass demos=None", gym.make, "AnimaRL/Silkmoth-v0", **own)
     env = gym.make("AnimaRL/Silkmoth-v0", train_plumes=(0,), demos=None)
     assert env.reset(seed=0)[1]["demo"] == -1

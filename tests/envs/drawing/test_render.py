@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs.demos.summary import Unit
 from animarl_envs.drawing import palette
 from animarl_envs.drawing.palette import BODIES
 from animarl_envs.drawing.render import Renderer, round_length, view_of
 from animarl_envs.drawing.scene import PlumeField, Scene
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import MissingExtraError
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES
 from animarl_envs.species.base import BODIES as SPECIES_BODIES
 from animarl_envs.species.base import PLAIN_BODY, body_of_each
@@ -188,8 +189,7 @@ def test_a_species_says_what_its_animals_look_like():
     assert body_of_each(AGENT.bodies, AGENT.roles) == ("predator", "predator", "prey")
     assert body_of_each(SPECIES["newt"].bodies, AGENT.roles) == ("newt",) * 3
     assert SPECIES_BODIES[0] == PLAIN_BODY
-    with pytest.raises(InputError, match="bodies is 'cat': give one of animal, predator"):
-        with_options(AGENT, bodies="cat")
+    refuses("bodies is 'cat': give one of animal, predator", with_options, AGENT, bodies="cat")
 
 
 def test_open_field_shows_source_start_and_scale(renderer):
@@ -250,8 +250,7 @@ def test_many_individuals_fit_the_strip(renderer):
 
 @pytest.mark.parametrize("arguments", [("svg",), ("rgb_array", 50), ("rgb_array", 600, 0.0)])
 def test_renderer_refuses_bad_values(arguments):
-    with pytest.raises(InputError):
-        Renderer(*arguments)
+    refuses("", Renderer, *arguments)
 
 
 def test_missing_pygame_is_named(monkeypatch):
@@ -279,5 +278,4 @@ def test_window_shows_closes_and_stays_closed(monkeypatch):
 
 def test_window_without_display_is_refused(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "no-such-driver")
-    with pytest.raises(InputError, match="rgb_array"):
-        Renderer("human", size=SIZE).draw(make_scene())
+    refuses("rgb_array", Renderer("human", size=SIZE).draw, make_scene())

@@ -172,7 +172,8 @@ def test_a_single_episode_has_no_interval() -> None:
 
 def test_fits_survive_json(tmp_path: Path) -> None:
     demos, _ = simulate(13, episodes=12)
-    fit = fit_locomotion(demos, bootstrap=50)
+    fit = fit_locomotion(demos, thrusts=2, bootstrap=50)
+    assert {own.thrusts for own in fit.locomotion} == {2}
     assert LocomotionFit.load(fit.save(tmp_path / "fit.json")) == fit
     (tmp_path / "other.json").write_text(json.dumps({"a": 1}))
     refuses("not a locomotion fit", LocomotionFit.load, tmp_path / "other.json")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from commands import animarl
 from moving_pairs import recorded_pairs
+from recordings import write_tracks
 from small_runs import few
 from thrust_walks import walk
 from typer.testing import CliRunner
@@ -63,8 +64,6 @@ def test_the_fit_of_all_individuals_says_the_noise() -> None:
 
 
 def test_animarl_fit_warns_of_noise_that_matters(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    from dataclasses import replace
-
     for share, warned in ((0.14, True), (0.0, False)):
         demos, _ = noisy(0.2, share)
         real = replace(demos, provenance={**demos.provenance, "synthetic": False})
@@ -99,14 +98,11 @@ def test_persistence_is_one_of_steady_motion_and_minus_one_half_of_noise() -> No
 
 
 def test_an_import_of_jumping_tracks_hints_at_smoothing(tmp_path: Path) -> None:
-    rng, rows = np.random.default_rng(1), ["frame,id,x,y"]
-    angle = np.linspace(0.0, 20.0, 1500)
-    for name, phase in (("male", 0.0), ("female", 1.0)):
-        path = 400.0 + 150.0 * np.stack([np.cos(angle + phase), np.sin(angle + phase)], axis=1)
-        jumping = path + rng.normal(0.0, 1.5, path.shape)  # a step is 2 px long
-        rows += [f"{t},{name},{x!r},{y!r}" for t, (x, y) in enumerate(jumping.tolist())]
-    (tmp_path / "pair.csv").write_text("\n".join(rows) + "\n")
-    words = ("import", tmp_path / "pair.csv", "--fps", 25, "--target", "female", "--dry-run")
+    angle = np.linspace(0.0, 20.0, 1500)[:, None] + [0.0, 1.0]
+    path = 400.0 + 150.0 * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    jumping = path + np.random.default_rng(1).normal(0.0, 1.5, path.shape)  # a step is 2 px long
+    pair = write_tracks(tmp_path / "pair.csv", jumping, ("male", "female"))
+    words = ("import", pair, "--fps", 25, "--target", "female", "--dry-run")
     assert "consider --smoothing 2" in animarl(*words)
     assert "consider --smoothing" not in animarl(*words, "--smoothing", 2)
 

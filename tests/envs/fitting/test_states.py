@@ -9,9 +9,7 @@ import pytest
 from commands import animarl
 from refusals import refuses
 from thrust_walks import DT, walk
-from typer.testing import CliRunner
 
-from animarl_algos.cli.main import app
 from animarl_envs.demos import Demonstrations
 from animarl_envs.fitting.states import compare_states
 from animarl_envs.locomotion import Locomotion
@@ -53,9 +51,8 @@ def test_states_look_at_no_test_episode(two: Demonstrations) -> None:
 
 def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path: Path) -> None:
     file, out = two.save(tmp_path / "two.npz"), tmp_path / "states.csv"
-    given = ["fit", str(file), "--states", "1,2", "--thrusts", "1", "--out", str(out)]
-    result = CliRunner().invoke(app, given, catch_exceptions=False)
-    assert "a: best explained by 2 states with 1 thrust" in result.output
+    said = animarl("fit", file, "--states", "1,2", "--thrusts", "1", "--out", out)
+    assert "a: best explained by 2 states with 1 thrust" in said
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert [(row["individual"], row["states"], row["state"]) for row in rows] == [
         (name, *pair) for name in "abc" for pair in (("1", "1"), ("2", "1"), ("2", "2"))
@@ -64,9 +61,9 @@ def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path:
 
 
 def test_a_state_that_holds_hardly_a_step_is_said(two: Demonstrations, tmp_path: Path) -> None:
-    given = ["fit", str(two.save(tmp_path / "two.npz")), "--states", "3", "--thrusts", "1"]
-    output = " ".join(CliRunner().invoke(app, given, catch_exceptions=False).output.split())
-    assert "a: 3 states with 1 thrust are not supported by these recordings" in output
+    said = animarl("fit", two.save(tmp_path / "two.npz"), "--states", "3", "--thrusts", "1")
+    told = "a: 3 states with 1 thrust are not supported by these recordings"
+    assert told in " ".join(said.split())
 
 
 def test_who_never_moves_has_no_states_and_the_others_are_told(
@@ -75,8 +72,8 @@ def test_who_never_moves_has_no_states_and_the_others_are_told(
     still = two.positions.copy()
     still[:, 1] = 0.25
     file = replace(two, positions=still).save(tmp_path / "still.npz")
-    given = ["fit", str(file), "--states", "1", "--thrusts", "1"]
-    output = CliRunner().invoke(app, given, catch_exceptions=False).output
+    given = ("fit", file, "--states", "1", "--thrusts", "1")
+    output = animarl(*given)
     assert "b: never moves in train, so that it has no states" in output
     assert "a: best explained by 1 state with 1 thrust" in output
     still[:] = still[0]

@@ -1,6 +1,7 @@
 """Several thrust magnitudes: 12 M + 1 actions in every world, view and learner."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +17,6 @@ from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.recipes.registry import DQN
 from animarl_algos.runs.inspecting import action_labels, decide_along
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.fitting import demonstrated_actions, one_step_misses, transitions
 from animarl_envs.fitting.joint import nearest_actions
 from animarl_envs.focus import focus_directions
@@ -46,22 +46,6 @@ def test_one_magnitude_is_the_papers_thirteen_actions_to_the_bit() -> None:
     assert AGENT.num_actions == 13 and AGENT.thrusts == 1
 
 
-def test_an_action_is_a_magnitude_and_a_direction_and_the_last_coasts() -> None:
-    vectors = Locomotion(0.25, 3.0, MULTIPLES).action_vectors
-    assert vectors.shape == (37, 2) and not vectors.flags.writeable
-    for action in range(36):
-        expected = MULTIPLES[action // 12] * ACTION_VECTORS[action % 12]
-        np.testing.assert_array_equal(vectors[action], expected)
-    assert not vectors[36].any()
-
-
-@pytest.mark.parametrize("given", [(), (0.5, 1.0), (1.0, 1.0), (1.0, 0.0), (1.0, -1.0), "1",
-                                   (np.inf,), (float("nan"),), 2.0, (True,),
-                                   tuple(range(MOST_THRUSTS + 1, 0, -1))])  # fmt: skip
-def test_magnitudes_fall_and_are_positive(given: Any) -> None:
-    refuses("magnitudes", Locomotion, 0.1, 1.0, given)
-
-
 def test_individuals_with_other_numbers_of_magnitudes_are_refused() -> None:
     mixed = (Locomotion(0.25, 3.0, MULTIPLES), *AGENT.locomotion[1:])
     refuses("predator_0 3, predator_1 1", replace, AGENT, locomotion=mixed)
@@ -73,11 +57,6 @@ def test_magnitudes_are_an_option_by_name() -> None:
     assert scenario.species == three(FLY)
     stated = scenario_as_data(scenario)["locomotion"]
     assert [one["magnitudes"] for one in stated] == [list(MULTIPLES)] * 3
-
-
-def test_inverse_dynamics_returns_magnitude_and_direction() -> None:
-    demos, actions = walk(TRUTH, 1)
-    np.testing.assert_array_equal(demonstrated_actions(demos, TRUTH), actions)
 
 
 # -- one transition -------------------------------------------------------------------------------
@@ -130,19 +109,6 @@ def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:
 # -- every view -----------------------------------------------------------------------------------
 
 
-def test_all_views_offer_the_same_actions() -> None:
-    options: dict[str, Any] = {"locomotion": three(FLY).locomotion}
-    env = gym.make("AnimaRL/Fly-v0", **options)
-    envs = gym.make_vec("AnimaRL/Fly-v0", num_envs=2, **options)
-    everybody = animarl_envs.parallel_env("fly", **options)
-    slots = SlotVecEnv("fly", 2, **options)
-    assert env.action_space == everybody.action_space("female") == slots.action_space
-    assert env.action_space == gym.spaces.Discrete(37) == envs.unwrapped.single_action_space  # type: ignore[attr-defined]
-    env.reset(seed=0)
-    env.step(36)
-    refuses("0 to 36", env.unwrapped.step, 37)
-
-
 @pytest.mark.parametrize("name", ["fly", "silkmoth"])
 @pytest.mark.parametrize("thrusts", [1, np.int64(2), 3, 5, MOST_THRUSTS])
 def test_thrusts_are_an_option_of_all_views(name: str, thrusts: int) -> None:
@@ -154,6 +120,8 @@ def test_thrusts_are_an_option_of_all_views(name: str, thrusts: int) -> None:
     assert all(everybody.action_space(each).n == count for each in everybody.possible_agents)  # type: ignore[attr-defined]
     env.reset(seed=0)
     env.step(count - 1)
+    refuses(f"0 to {count - 1}", env.unwrapped.step, count)  # type: ignore[attr-defined]
+    assert SlotVecEnv(name, 1, thrusts=thrusts).action_space == env.action_space
     assert env.unwrapped.scenario.species.thrusts == thrusts  # type: ignore[attr-defined]
 
 
@@ -194,8 +162,8 @@ def test_thrusts_go_with_other_thrusts_and_dampings() -> None:
 @pytest.mark.parametrize("thrusts", [0, -1, MOST_THRUSTS + 1, 2.0, True, "3", [3]])
 @pytest.mark.parametrize("env_id", ["AnimaRL/Fly-v0", "AnimaRL/Custom-v0"])
 def test_numbers_of_thrusts_that_cannot_be_are_refused(env_id: str, thrusts: Any) -> None:
-    with pytest.raises(InputError, match=r"^thrusts is .*, 1 to 10$"):
-        gym.make(env_id, demos=load_packaged("fly"), thrusts=thrusts)
+    given = {"demos": load_packaged("fly"), "thrusts": thrusts}
+    refuses("^thrusts is .*, 1 to 10$", gym.make, env_id, **given)
 
 
 @pytest.mark.parametrize("locomotion", [
@@ -203,8 +171,8 @@ def test_numbers_of_thrusts_that_cannot_be_are_refused(env_id: str, thrusts: Any
     {"female": Locomotion(0.1, 1.0, (0.5,))}, [1.0, 1.0, Locomotion(0.1, 1.0, MULTIPLES)],
 ])  # fmt: skip
 def test_thrusts_and_magnitudes_at_once_are_refused(locomotion: Any) -> None:
-    with pytest.raises(InputError, match="thrusts is 3 but locomotion gives magnitudes: leave one"):
-        gym.make("AnimaRL/Fly-v0", thrusts=3, locomotion=locomotion)
+    told = "thrusts is 3 but locomotion gives magnitudes: leave one"
+    refuses(told, gym.make, "AnimaRL/Fly-v0", thrusts=3, locomotion=locomotion)
 
 
 def test_your_own_animals_have_their_thrusts_fitted() -> None:
@@ -226,19 +194,6 @@ def test_whoever_nobody_drives_coasts() -> None:
     world.velocity[:] = 0.4
     world.step(np.zeros((3, 3), dtype=np.int64))
     np.testing.assert_allclose(world.velocity, 0.3, rtol=1e-12)
-
-
-def test_a_replay_that_has_ended_coasts() -> None:
-    demos = load_packaged("silkmoth").select(split="train")
-    shortest = demos.select(episodes=[int(np.argmin(demos.lengths))])
-    scenario = make_scenario(three(SILKMOTH), demos=shortest, drivers={"moth": "replay"})
-    world = make_world(scenario, 1)
-    world.reset()
-    for _ in range(int(shortest.lengths[0]) - 1):
-        world.step(np.zeros((1, 1), dtype=np.int64))
-    before = world.velocity.copy()
-    world.step(np.zeros((1, 1), dtype=np.int64))
-    np.testing.assert_allclose(world.velocity, (1 - 0.208) * before, rtol=1e-12)
 
 
 def test_the_programmed_moth_uses_what_it_has() -> None:
@@ -281,16 +236,12 @@ def test_data_and_decisions_have_a_value_per_action() -> None:
 
 
 def test_a_model_of_other_magnitudes_is_refused() -> None:
-    model = DQN(
-        env=SlotVecEnv("agent", 2), offline_epochs=0, seed=0, device="cpu", buffer_size=1000
-    )
+    model = DQN(env=SlotVecEnv("agent", 2), offline_epochs=0, seed=0, buffer_size=1000)
     richer = SlotVecEnv(three(AGENT), 2)
     refuses(r"13 actions learned and 37 here: .*thrust magnitudes", model.set_env, richer)
     scenario = make_scenario(three(AGENT), split="val")
-    with pytest.raises(InputError, match="thrust magnitudes"):
-        collect_rollouts(
-            lambda copies: make_world(scenario, copies), model, method="dqn", seed=0, repetitions=1
-        )
+    make, told = partial(make_world, scenario), {"method": "dqn", "seed": 0, "repetitions": 1}
+    refuses("thrust magnitudes", collect_rollouts, make, model, **told)
     refuse_other_actions(37, 37)
 
 

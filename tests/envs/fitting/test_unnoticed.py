@@ -4,46 +4,13 @@ import numpy as np
 import pytest
 import torch
 from pair_learners import make_pair_learner
+from recordings import SYNTHETIC
 
-from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.episode import TARGET_OUT
 from animarl_envs.fitting.joint import bootstrap_joint, fit_joint
 from animarl_envs.fitting.transitions import Transitions, onset_data
-from animarl_envs.locomotion import ACTION_VECTORS, COAST
-from animarl_envs.scenario import make_scenario
-from animarl_envs.worlds.chase.world import ChaseWorld
-
-
-def test_the_target_is_not_paid_for_the_step_on_which_it_leaves() -> None:
-    start = [[-0.5, 0.0], [-0.5, 0.4], [1.0, 0.0]]
-    made = ChaseWorld(make_scenario("agent", demos=None, start=start), 1)
-    made.reset()
-    away = np.array([[COAST, COAST, 6]])  # away from the pursuers, outwards
-    made.step(away)
-    while not made.terminated[0]:
-        assert made.components[0, 2].tolist() == [0.0, 0.1, 0.0]
-        made.step(away)
-    assert made.outcome[0] == TARGET_OUT
-    assert made.components[0, 2].tolist() == [0.0, 0.0, -10.0]
-    assert made.reward[0, 2] == -10.0
-
-
-def test_a_time_out_is_told_from_an_end_and_where_the_episode_ended() -> None:
-    copies, limit = 3, 4
-    venv = SlotVecEnv(
-        "agent", copies, demos=None, dtw=None, time_limit=limit,
-        start=[[-0.5, 0.0], [-0.5, 0.4], [0.7, 0.0]],
-    )  # fmt: skip
-    venv.seed(0)
-    venv.reset()
-    for step in range(1, 2 * limit + 1):
-        _, _, dones, infos = venv.step(np.full(venv.num_envs, COAST))
-        over = step % limit == 0
-        assert (dones == over).all()
-        told = [info.get("TimeLimit.truncated", False) for info in infos]
-        assert told == [over] * venv.num_envs
+from animarl_envs.locomotion import ACTION_VECTORS
 
 
 def test_no_onset_is_taken_across_the_border_of_two_episodes() -> None:
@@ -57,8 +24,7 @@ def test_no_onset_is_taken_across_the_border_of_two_episodes() -> None:
         positions=np.concatenate([still, moving, starting])[:, None], lengths=np.full(3, 4),
         initial_velocity=np.zeros((3, 1, 2)), condition=np.zeros(3, np.int8),
         outcome=np.zeros(3, np.int8), split=np.full(3, "train"),
-        recording=np.array(["a", "b", "c"]),
-        provenance={"source": "test", "licence": "none", "synthetic": True},
+        recording=np.array(["a", "b", "c"]), provenance=SYNTHETIC,
     )  # fmt: skip
     data = onset_data(demos, 0, crossing / dt)
     assert data.onset_speed.tolist() == pytest.approx([0.2])

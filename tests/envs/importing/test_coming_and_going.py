@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import animarl
+from recordings import write_tracks
+from refusals import refuses
 
 from animarl_algos.cli.describing import found_by_itself
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read_tracks
 from animarl_envs.locomotion import Locomotion
@@ -17,6 +18,7 @@ from animarl_envs.species import ChaseSpecies
 from animarl_envs.species.options import with_options
 
 HZ = 12.5
+TEN_HERTZ = default_recipe(get_reader("long-table"), frame_rate=10.0)
 
 
 def larvae(folder: Path, name: str, *, uneven: float, count: int = 6) -> Path:
@@ -57,10 +59,15 @@ def test_an_even_clock_is_taken_as_it_is(tmp_path: Path) -> None:
 
 def test_animals_that_are_seen_together_stay_one_recording(tmp_path: Path) -> None:
     rows = [f"{who},{f},{who + f / 10},{f % 7}" for f in range(100) for who in range(3)]
-    path = tmp_path / "shoal.csv"
-    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
-    demos = follow(default_recipe(get_reader("long-table"), frame_rate=10.0), [path])
+    demos = follow(TEN_HERTZ, [table(tmp_path, "shoal", rows)])
     assert demos.num_individuals == 3
+
+
+def table(folder: Path, name: str, rows: list[str]) -> Path:
+    """Write rows of animal, frame, x and y."""
+    path = folder / f"{name}.csv"
+    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
+    return path
 
 
 def school(folder: Path, name: str, count: int, gap: int, frames: int = 120) -> Path:
@@ -71,15 +78,12 @@ def school(folder: Path, name: str, count: int, gap: int, frames: int = 120) -> 
         for who in range(count)
         if not (gap and 7 * who <= f < 7 * who + gap)
     ]
-    path = folder / f"{name}.csv"
-    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
-    return path
+    return table(folder, name, rows)
 
 
 def test_of_a_group_that_comes_and_goes_pieces_have_those_who_stay(tmp_path: Path) -> None:
     """Somebody is always missing: each piece holds as many as were there throughout."""
-    recipe = default_recipe(get_reader("long-table"), frame_rate=10.0)
-    demos = follow(recipe, [school(tmp_path, "pond", 16, 7)])
+    demos = follow(TEN_HERTZ, [school(tmp_path, "pond", 16, 7)])
     assert demos.individuals == tuple(f"animal_{k}" for k in range(demos.num_individuals))
     assert 12 <= demos.num_individuals < 16 and demos.is_group
     assert len(demos) >= 8 and set(demos.recording.tolist()) == {"pond"}
@@ -96,36 +100,29 @@ def test_of_a_group_that_comes_and_goes_pieces_have_those_who_stay(tmp_path: Pat
 
 def test_the_number_of_animals_may_differ_between_recordings(tmp_path: Path) -> None:
     files = [school(tmp_path, "pond", 9, 0), school(tmp_path, "lake", 6, 0)]
-    demos = follow(default_recipe(get_reader("long-table"), frame_rate=10.0), files)
+    demos = follow(TEN_HERTZ, files)
     assert demos.num_individuals == 6
     assert set(demos.recording.tolist()) == {"pond", "lake"}
 
 
 def test_a_group_that_is_never_there_for_long_is_refused(tmp_path: Path) -> None:
     rows = [f"{w},{f},{w},{f % 3}" for f in range(60) for w in range(4) if (f + w) % 4]
-    path = tmp_path / "blinking.csv"
-    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
-    recipe = default_recipe(get_reader("long-table"), frame_rate=10.0)
-    with pytest.raises(InputError, match="no three animals are there throughout"):
-        follow(recipe, [path])
+    path = table(tmp_path, "blinking", rows)
+    refuses("no three animals are there throughout", follow, TEN_HERTZ, [path])
 
 
 def test_tracks_that_are_too_short_are_said(tmp_path: Path) -> None:
     """Of one animal with gaps, what lies between two of them may be no episode."""
     rows = [f"0,{f},{f / 10},{f % 7}" for f in range(200) if f < 100 or f % 3]
-    path = tmp_path / "blinking.csv"
-    path.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
-    demos = follow(default_recipe(get_reader("long-table"), frame_rate=10.0), [path])
+    demos = follow(TEN_HERTZ, [table(tmp_path, "blinking", rows)])
     assert demos.provenance["share_used"] == pytest.approx(100 / len(rows), abs=0.02)
     assert "of what was tracked is used, as recordings are cut" in " ".join(found_by_itself(demos))
 
 
 def test_of_a_group_one_animal_is_described_for_all(tmp_path: Path) -> None:
     """What is printed does not grow with the group: its animals are alike."""
-    rng, file = np.random.default_rng(0), tmp_path / "pond.csv"
-    paths = np.cumsum(np.cumsum(rng.normal(0.0, 0.01, (120, 40, 2)), axis=0), axis=0)
-    rows = [f"{w},{f},{x},{y}" for f in range(120) for w, (x, y) in enumerate(paths[f].tolist())]
-    file.write_text("\n".join(["id,frame,x,y", *rows]) + "\n")
+    steps = np.cumsum(np.random.default_rng(0).normal(0.0, 0.01, (120, 40, 2)), axis=0)
+    file = write_tracks(tmp_path / "pond.csv", np.cumsum(steps, axis=0), [*map(str, range(40))])
     demos_file = tmp_path / "pond.npz"
     said = animarl("import", file, "--fps", 10, "--target", "none", "--out", demos_file)
     assert "40 that are alike, 0 to 39" in said and said.count("speed of") == 1
@@ -146,8 +143,7 @@ def test_a_group_that_is_none_is_refused(
     tmp_path: Path, count: int, given: dict[str, Any], said: str
 ) -> None:
     recipe = default_recipe(get_reader("long-table"), frame_rate=10.0, **given)
-    with pytest.raises(InputError, match=said):
-        follow(recipe, [school(tmp_path, "pond", count, 0)])
+    refuses(said, follow, recipe, [school(tmp_path, "pond", count, 0)])
 
 
 def test_how_many_neighbours_are_seen_is_said_at_import(tmp_path: Path) -> None:
@@ -155,8 +151,7 @@ def test_how_many_neighbours_are_seen_is_said_at_import(tmp_path: Path) -> None:
     demos = follow(recipe, [school(tmp_path, "pond", 5, 0)])
     species = species_of(demos, [Locomotion(0.5, 1.0)] * 5)
     assert isinstance(species, ChaseSpecies) and species.num_seen == 2
-    with pytest.raises(InputError, match="neighbours is 5 but there are 5 animals"):
-        with_options(species, neighbours=5)
+    refuses("neighbours is 5 but there are 5 animals", with_options, species, neighbours=5)
 
 
 @pytest.mark.parametrize(
@@ -173,5 +168,4 @@ def test_a_damaged_or_absurd_packed_table_is_refused(
 ) -> None:
     path = tmp_path / "fed.csv.gz"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=said):
-        read_tracks(path, source="long-table")
+    refuses(said, read_tracks, path, source="long-table")

@@ -19,16 +19,16 @@ from refusals import refused, refuses
 from animarl_algos.learner.checkpoint import load_tensors
 from animarl_algos.learner.presets import read_file
 from animarl_envs.demos import Demonstrations
-from animarl_envs.errors import InputError
 from animarl_envs.files import parse_yaml, read_npz, read_yaml
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import available_readers, read, read_tracks
 from animarl_envs.importing.readers.authors import load_plain
 from tools.fuzz.layouts import (
-    BODIES,
     write_analysis,
     write_dlc_csv,
     write_dlc_h5,
+    write_idtracker_h5,
+    write_mat73,
     write_minari,
     write_native,
 )
@@ -127,15 +127,6 @@ def test_a_foreign_pickle_does_not_run(protocol: int, tmp_path: Path, marker: Pa
         refused(tmp_path / "model.zip")
 
 
-def test_cells_and_objects_of_foreign_matlab_files_are_passed_over(tmp_path: Path) -> None:
-    from scipy.io import savemat
-
-    content = {"bodies": BODIES, "cell": np.array([1, "a", {"b": 2}], dtype=object), "s": {"c": 1}}
-    savemat(tmp_path / "a.mat", content)
-    (tracks,) = read_tracks(tmp_path / "a.mat", fps=25.0)
-    np.testing.assert_array_equal(tracks.positions[:, :, 0], BODIES)
-
-
 def test_foreign_metadata_of_minari_names_no_code(tmp_path: Path, marker: Path) -> None:
     """Neither its environment nor its spaces are made; its format is not followed."""
     import json
@@ -188,11 +179,9 @@ def test_foreign_yaml_stays_as_small_as_it_is(tmp_path: Path) -> None:
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
     for text in ("\n".join(lines), "[" * 100_000, "a: 1e999999999999", "? [a]\n: 1", "a: 1" * 99):
         (tmp_path / "r.yaml").write_text(text)
-        with pytest.raises(InputError):
-            ImportRecipe.load(tmp_path / "r.yaml")
-    with pytest.raises(InputError, match="longer than"):
-        (tmp_path / "r.yaml").write_text("#" * 2**20)
-        read_yaml(tmp_path / "r.yaml")
+        refuses("", ImportRecipe.load, tmp_path / "r.yaml")
+    (tmp_path / "r.yaml").write_text("#" * 2**20)
+    refuses("longer than", read_yaml, tmp_path / "r.yaml")
     assert parse_yaml("a: &x [1]\nb: *x", "t") == {"a": [1], "b": [1]}
 
 
@@ -220,9 +209,8 @@ def parquet_of_many_columns(path: Path) -> None:
     import pyarrow.parquet as pq
 
     column = pa.array([0.0])
-    pq.write_table(
-        pa.table({f"x_{i}": column for i in range(20_000)}), path.with_suffix(".parquet")
-    )
+    table = pa.table({f"x_{i}": column for i in range(20_000)})
+    pq.write_table(table, path.with_suffix(".parquet"))
 
 
 def parquet_dictionary(path: Path) -> None:
@@ -311,3 +299,70 @@ def test_pipes_beside_foreign_files_are_refused(tmp_path: Path) -> None:
     refuses("is a folder", Demonstrations.load, tmp_path)
     native = write_native(tmp_path)
     assert Demonstrations.load(native).num_episodes == 3
+
+
+# -- what an HDF5 file may not send a reader to ---------------------------------------------------
+
+
+def external_link(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    file["more"] = h5py.ExternalLink(str(elsewhere), "/bodies")
+
+
+def soft_link(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    file["more"] = h5py.SoftLink("/bodies")
+
+
+def external_storage(file: Any, elsewhere: Path) -> None:
+    file.create_dataset("more", (4, 2, 2), "f8", external=[(str(elsewhere), 0, 128)])
+
+
+def virtual(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    layout = h5py.VirtualLayout((40, 2, 2), "f8")
+    layout[:] = h5py.VirtualSource(str(elsewhere), "bodies", (40, 2, 2))
+    file.create_virtual_dataset("more", layout)
+
+
+def strange_float(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    kind = h5py.h5t.IEEE_F64LE.copy()
+    kind.set_fields(63, 53, 10, 0, 53)  # a mantissa of one bit more
+    kind.set_ebias(511)
+    space = h5py.h5s.create_simple((4,))
+    h5py.h5d.create(file.id, b"more", kind, space)
+
+
+def strange_filter(file: Any, elsewhere: Path) -> None:
+    file.create_dataset("more", (40, 2), "i4", chunks=(4, 2), scaleoffset=4)
+
+
+POINTING: dict[str, tuple[Callable[[Any, Path], None], str]] = {
+    "external link": (external_link, "link to elsewhere"),
+    "soft link": (soft_link, "link to elsewhere"),
+    "external storage": (external_storage, "stored in another file"),
+    "virtual": (virtual, "virtual dataset"),
+    "wrong_number": (strange_float, "floats that are not IEEE"),
+    "filter": (strange_filter, "unusual filter"),
+}
+
+
+@pytest.mark.parametrize("kind", POINTING)
+@pytest.mark.parametrize("write", [write_mat73, write_idtracker_h5, write_dlc_h5, write_analysis])
+def test_foreign_hdf5_is_not_followed(
+    kind: str, write: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    import h5py
+
+    secret = write_mat73(tmp_path).rename(tmp_path / "secret.h5")
+    path = write(tmp_path)
+    change, message = POINTING[kind]
+    with h5py.File(path, "r+") as file:
+        change(file, secret)
+    source = {"new.mat": "matlab", "trajectories.h5": "idtracker", "dlc.h5": "deeplabcut"}
+    assert message in refused(path, source.get(path.name, "sleap"))

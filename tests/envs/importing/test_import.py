@@ -1,21 +1,26 @@
 """``animarl import``, ``animarl data`` and ``animarl fit``: from file to file, all or nothing."""
 
 import csv
-import json
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from commands import animarl
+from recordings import write_tracks
 from refusals import refuses
+from small_runs import few, made
 
-from animarl_envs.demos import Demonstrations
-from animarl_envs.errors import InputError
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting import LocomotionFit
 from animarl_envs.importing.build import demonstrations_from_tracks
+from animarl_envs.importing.cleaning import Scaling
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers import default_recipe, follow, get_reader, read
-from tools.fuzz.layouts import write_agents, write_long, write_native, write_slp, write_trex
+from animarl_envs.importing.readers import read
+from animarl_envs.importing.tracks import Tracks
+from animarl_envs.worlds import demonstration_observations
+from tools.fuzz.layouts import write_agents, write_long, write_native, write_slp
 
 
 def test_import_writes_demonstrations_and_a_recipe_that_repeats_them(tmp_path: Path) -> None:
@@ -41,13 +46,6 @@ def test_dry_import_says_what_it_understood_and_writes_nothing(tmp_path: Path) -
     assert "male, female" in said and "nothing was written" in said
     assert "head, thorax; used: centroid" in said
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_import_of_several_files_of_one_recording(tmp_path: Path) -> None:
-    write_trex(tmp_path)
-    files = sorted(tmp_path.glob("video_fish*.npz"))
-    animarl("import", *files, "--target", "auto", "--out", tmp_path / "fish.npz")
-    assert Demonstrations.load(tmp_path / "fish.npz").num_individuals == 2
 
 
 def test_sessions_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
@@ -83,30 +81,29 @@ def test_animals_of_one_recording_in_several_folders_are_put_together(tmp_path: 
 
 def test_a_recording_that_is_given_twice_is_refused(tmp_path: Path) -> None:
     table = write_long(tmp_path)
-    again = tmp_path / ".." / tmp_path.name / table.name
-    with pytest.raises(InputError, match=f"{table.name}: it is given twice"):
-        animarl("import", table, again, "--fps", 20, "--dry-run")
+    again, dry = tmp_path / ".." / tmp_path.name / table.name, ("--fps", 20, "--dry-run")
+    refuses(f"{table.name}: it is given twice", animarl, "import", table, again, *dry)
     rows = table.read_text().splitlines()
     for name in ("mon.csv", "tue.csv"):
         lines = [f"{'recording' if i == 0 else 'r'},{row}" for i, row in enumerate(rows)]
         (tmp_path / name).write_text("\n".join(lines) + "\n")
     days = [tmp_path / "mon.csv", tmp_path / "tue.csv"]
-    with pytest.raises(InputError, match=r"mon\.csv and .*tue\.csv: both have .* of recording r:"):
-        animarl("import", *days, "--fps", 20, "--dry-run")
+    words = r"mon\.csv and .*tue\.csv: both have .* of recording r:"
+    refuses(words, animarl, "import", *days, *dry)
 
 
 def test_options_without_effect_on_finished_demonstrations_are_refused(tmp_path: Path) -> None:
     native, out = write_native(tmp_path), tmp_path / "out.npz"
     words = ("--fps", 5, "--target", "male", "--keep-jumps", "--out", out)
-    with pytest.raises(InputError, match=r"no effect on them \(--target, --fps, --keep-jumps\)"):
-        animarl("import", native, *words)
+    told = r"no effect on them \(--target, --fps, --keep-jumps\)"
+    refuses(told, animarl, "import", native, *words)
     assert not out.exists()
 
 
 def test_import_names_the_file_of_a_recording_with_a_fault(tmp_path: Path) -> None:
     table = write_long(tmp_path)
-    with pytest.raises(InputError, match=f"{table}: {table.stem}: there is no individual 'ghost'"):
-        animarl("import", table, "--fps", 20, "--individuals", "ghost", "--dry-run")
+    words = ("import", table, "--fps", 20, "--individuals", "ghost", "--dry-run")
+    refuses(f"{table}: {table.stem}: there is no individual 'ghost'", animarl, *words)
 
 
 def test_the_help_of_import_shows_a_whole_pattern() -> None:
@@ -127,34 +124,14 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 20, "--farther-than", 1, "--out", out), "give both"),
         (("--fps", 20, "--species", "unicorn", "--out", out), "species 'unicorn' is unknown"),
         (("--fps", 20, "--split-seed", -1, "--out", out), "give zero or more"),
-        (
-            ("--fps", 20, "--contact", "nan", "--out", out),
-            "contact is nan: it must be zero or positive",
-        ),
+        (("--fps", 20, "--contact", "nan", "--out", out), "contact is nan: it must be zero or pos"),
         (("--fps", 20, "--arena", "triangle", "--out", out), "triangle"),
-        (
-            ("--fps", 20, "--smoothing", -1, "--out", out),
-            "smoothing_cutoff is -1.0 Hz: it must be zero or positive",
-        ),
+        (("--fps", 20, "--smoothing", -1, "--out", out), "smoothing_cutoff is -1.0 Hz: it must be"),
         (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
         (("--fps", 20, "--option", "unit={a: 1}", "--out", out), "give a name, such as mm"),
     ):
         refuses(message, animarl, "import", table, *words)
     assert not out.exists() and not list(tmp_path.glob(".demos*"))
-
-
-def test_interrupted_saves_leave_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    demos = read(write_native(tmp_path))
-
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(np, "savez_compressed", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        demos.save(tmp_path / "new.npz")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["demos.npz"]
 
 
 def test_data_commands(tmp_path: Path) -> None:
@@ -168,11 +145,7 @@ def test_data_commands(tmp_path: Path) -> None:
     step = np.linalg.norm(np.diff(demos.episode(0).positions[:, 2], axis=0), axis=1)
     assert float(rows[0]["path_length_prey"]) == pytest.approx(step.sum())
     animarl("data", "split", path, "--by", "episode", "--seed", 1, "--out", tmp_path / "s.npz")
-    assert sorted(Demonstrations.load(tmp_path / "s.npz").split.tolist()) == [
-        "test",
-        "train",
-        "val",
-    ]
+    assert {*Demonstrations.load(tmp_path / "s.npz").split} == {"train", "val", "test"}
     animarl("data", "plot", path, "--out", tmp_path / "figure.png")
     assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
     animarl("data", "convert", path, "--out", tmp_path / "minari-v0")
@@ -199,32 +172,19 @@ def test_fit_command_saves_what_it_prints(tmp_path: Path) -> None:
     refuses(r"use \.csv or \.json", animarl, "fit", path, "--out", tmp_path / "fit.txt")
 
 
-def test_recipes_are_plain_json(tmp_path: Path) -> None:
-    demos = follow(
-        default_recipe(get_reader("long-table"), frame_rate=20.0), [write_long(tmp_path)]
-    )
-    recipe = json.loads(json.dumps(dict(demos.provenance)))["recipe"]
-    assert ImportRecipe.from_dict(recipe) == default_recipe(
-        get_reader("long-table"), frame_rate=20.0
-    )
-
-
 def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
-    lines = ["frame,id,x,y"]
-    for t in range(400):
-        far = 30.0 if t == 150 else 0.0
-        lines += [f"{t},male,{np.cos(t / 40) + far},{np.sin(t / 40)}", f"{t},female,0.1,{t / 400}"]
-    (tmp_path / "pair.csv").write_text("\n".join(lines) + "\n")
+    t = np.arange(400)
+    male = np.stack([np.cos(t / 40) + 30.0 * (t == 150), np.sin(t / 40)], axis=1)
+    female = np.stack([np.full(400, 0.1), t / 400], axis=1)
+    pair = write_tracks(tmp_path / "pair.csv", np.stack([male, female], 1), ("male", "female"))
     words = ("--fps", 20, "--target", "female", "--arena-width", 80)
     out = tmp_path / "kept.npz"
-    said = animarl("import", tmp_path / "pair.csv", *words, "--out", out)
+    said = animarl("import", pair, *words, "--out", out)
     named = "2 jumps and 0 swaps of identities flagged in 1 recording, first male at 7.5 s of pair"
     assert f"hint: {named}" in said and "2 jumps" in said
     assert f"check: {named}" in animarl("data", "check", out)
     dropped = tmp_path / "dropped.npz"
-    said = animarl(
-        "import", tmp_path / "pair.csv", *words, "--drop-jumps", "--max-gap", 0.2, "--out", dropped
-    )
+    said = animarl("import", pair, *words, "--drop-jumps", "--max-gap", 0.2, "--out", dropped)
     assert "flagged in" not in said
     recipe = ImportRecipe.load(tmp_path / "dropped.recipe.yaml")
     assert recipe.cleaning.drop_jumps and recipe.cleaning.max_gap == 0.2
@@ -232,24 +192,13 @@ def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
     assert np.ptp(Demonstrations.load(dropped).positions[:, 0, 0]) < 0.1
 
 
-@pytest.mark.parametrize("pursuers", [1, 2, 3])
+@pytest.mark.parametrize("pursuers", [1, 3])
 def test_imported_tracks_are_an_environment_at_once(pursuers: int, tmp_path: Path) -> None:
-    import gymnasium as gym
-
     names = [*(f"hunter_{i}" for i in range(pursuers)), "hare"]
-    rng = np.random.default_rng(pursuers)
-    walk = (
-        np.cumsum(rng.normal(0, 0.02, (300, len(names), 2)), axis=0)
-        + np.arange(len(names))[:, None]
-    )
-    rows = [
-        f"{t},{name},{x},{y}"
-        for t, bodies in enumerate(walk.tolist())
-        for name, (x, y) in zip(names, bodies, strict=True)
-    ]
-    (tmp_path / "t.csv").write_text("frame,id,x,y\n" + "\n".join(rows) + "\n")
-    out = tmp_path / "demos.npz"
-    animarl("import", tmp_path / "t.csv", "--fps", 10, "--target", "hare", "--out", out)
+    steps = np.random.default_rng(pursuers).normal(0, 0.02, (300, len(names), 2))
+    walk = np.cumsum(steps, axis=0) + np.arange(len(names))[:, None]
+    table, out = write_tracks(tmp_path / "t.csv", walk, names), tmp_path / "demos.npz"
+    animarl("import", table, "--fps", 10, "--target", "hare", "--out", out)
     assert "hare" in animarl("fit", out, "--bootstrap", 0)
     env = gym.make("AnimaRL/Custom-v0", demos=str(out))
     first, _ = env.reset(seed=0)
@@ -267,8 +216,8 @@ def test_import_to_a_place_that_cannot_be_written_is_refused(place: str, tmp_pat
     else:
         out.write_text("a file")
         out = out / "demos.npz"
-    with pytest.raises(InputError, match=r"it is a folder|cannot be written"):
-        animarl("import", table, "--fps", 20, "--out", out)
+    told = "it is a folder|cannot be written"
+    refuses(told, animarl, "import", table, "--fps", 20, "--out", out)
 
 
 def test_data_split_by_group_keeps_groups_together(tmp_path: Path) -> None:
@@ -308,8 +257,8 @@ def test_packaged_sets_are_known_by_name_where_no_such_file_is(tmp_path: Path) -
     said = animarl("data", "show", "agent")
     assert "SYNTHETIC" in said and "prey (target)" in said
     assert "predator_0" in animarl("fit", "agent", "--bootstrap", 0)
-    with pytest.raises(InputError, match="no such file, and packaged are agent"):
-        animarl("data", "show", tmp_path / "absent.npz")
+    told = "no such file, and packaged are agent"
+    refuses(told, animarl, "data", "show", tmp_path / "absent.npz")
 
 
 def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
@@ -318,10 +267,51 @@ def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
     animarl("data", "convert", tmp_path / "set-v0", "--out", tmp_path / "back.npz")
     again = Demonstrations.load(tmp_path / "back.npz")
     assert again.fingerprint() == Demonstrations.load(native).fingerprint()
-    with pytest.raises(InputError, match="suffix says the format"):
-        animarl("data", "convert", native, "--out", tmp_path / "demos.txt")
+    told = "suffix says the format"
+    refuses(told, animarl, "data", "convert", native, "--out", tmp_path / "demos.txt")
     refuses(r"ends in \.png", animarl, "data", "plot", native, "--out", tmp_path / "figure.txt")
 
 
 def test_no_recording_at_all_is_said() -> None:
     refuses("tracks: there is no recording in it", demonstrations_from_tracks, [], ImportRecipe())
+
+
+# -- scenes of one's own --------------------------------------------------------------------------
+
+
+def in_pixels(demos: Demonstrations) -> list[Tracks]:
+    """Chases as a camera would give them: 25 px to a unit, the origin elsewhere."""
+    return [
+        Tracks(
+            recording=f"r{one.index:02d}", individuals=demos.individuals,
+            positions=25.0 * one.positions[:, :, None] + [425.0, -243.0],
+            frame_rate=1 / demos.dt, outcome=one.outcome,
+        )
+        for one in demos
+    ]  # fmt: skip
+
+
+def imported(centre: tuple[float, float] | None) -> Demonstrations:
+    """An open field, in which nobody said what an arena unit is."""
+    scaling = Scaling(shape="open", centre=centre)
+    recipe = ImportRecipe(target="prey", scaling=scaling)
+    return demonstrations_from_tracks(in_pixels(few(test=3)), recipe)
+
+
+def test_inputs_of_networks_are_centred_and_scaled_in_any_unit(tmp_path: Path) -> None:
+    demos = imported(None)
+    assert np.abs(demos.positions).max() <= 1.0 + 1e-9
+    run = made(tmp_path, "soft-bc", demos=demos, species="custom", rolled_out=False)
+    species = run.species
+    model = run.learner("soft-bc", run.environment(demos))
+    run.load_policy("soft-bc", model)
+    train = demos.select(split="train")
+    raw = demonstration_observations(species, train)
+    network = model.policy.q_net
+    mean, sd = (each[..., : raw.shape[-1]] for each in (network.input_mean, network.input_sd))
+    seen = (torch.as_tensor(raw).transpose(0, 1) - mean) / sd  # without the condition's flag
+    moving = seen.std(dim=1) > 1e-3
+    assert moving.float().mean() > 0.9
+    assert seen.mean(dim=1).abs().max() < 1.0  # mirrored chases count as well
+    assert seen.std(dim=1)[moving].min() > 0.2
+    assert 0.5 < float(seen.std(dim=1)[moving].median()) < 1.5

@@ -9,17 +9,11 @@ import numpy as np
 import pytest
 from commands import animarl
 from numpy.typing import NDArray
+from refusals import refuses
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
-from animarl_envs.importing.cleaning import (
-    Cleaning,
-    Scaling,
-    clean,
-    fill_gaps,
-    resample,
-)
+from animarl_envs.importing.cleaning import Cleaning, Scaling, clean, fill_gaps, resample
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import follow, read_tracks
@@ -152,10 +146,8 @@ def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: 
     plan = ImportRecipe.load(tmp_path / "demos.recipe.yaml")
     assert plan.cleaning.heading == ("thorax", "head")
     assert follow(plan, [write(tmp_path)]).fingerprint() == demos.fingerprint()
-    understood = animarl(
-        "import", write(tmp_path), "--fps", 25, "--heading", "thorax,head", "--dry-run"
-    )
-    assert "heading thorax, head" in understood
+    dry = ("--fps", 25, "--heading", "thorax,head", "--dry-run")
+    assert "heading thorax, head" in animarl("import", write(tmp_path), *dry)
 
 
 def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
@@ -173,8 +165,8 @@ def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
     ],
 )
 def test_keypoints_that_make_no_heading_are_refused(asked: str, says: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=says):
-        animarl("import", write_slp(tmp_path), "--fps", 25, "--heading", asked, "--dry-run")
+    words = ("import", write_slp(tmp_path), "--fps", 25, "--heading", asked, "--dry-run")
+    refuses(says, animarl, *words)
 
 
 def write_table(folder: Path, column: str = "theta_deg") -> Path:

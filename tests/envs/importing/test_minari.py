@@ -44,7 +44,11 @@ def demonstrations(*, actions: bool, individuals: int = 3) -> Demonstrations:
 
 @pytest.mark.parametrize("actions", [True, False])
 @pytest.mark.parametrize("individuals", [2, 3])
-def test_minari_round_trip_is_exact(actions: bool, individuals: int, tmp_path: Path) -> None:
+def test_minari_round_trip_is_exact_and_opens_no_connection(
+    actions: bool, individuals: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for opener in ("socket", "create_connection"):
+        monkeypatch.setattr(socket, opener, lambda *_, **__: pytest.fail("a connection was opened"))
     demos = demonstrations(actions=actions, individuals=individuals)
     back = import_minari(export_minari(demos, tmp_path / "set-v0"))
     assert back.fingerprint() == demos.fingerprint()
@@ -53,9 +57,8 @@ def test_minari_round_trip_is_exact(actions: bool, individuals: int, tmp_path: P
     for key, value in demos.signals.items():
         assert back.signals[key].dtype == value.dtype
         np.testing.assert_array_equal(back.signals[key], value)
-    assert read(tmp_path / "set-v0" / "data" / "main_data.hdf5").fingerprint() == (
-        demos.fingerprint()
-    )
+    again = read(tmp_path / "set-v0" / "data" / "main_data.hdf5")
+    assert again.fingerprint() == demos.fingerprint()
 
 
 def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,17 +104,3 @@ def test_minari_refuses_what_it_cannot_do(tmp_path: Path) -> None:
     del record["animarl"]
     metadata.write_text(json.dumps(record))
     refuses("another project", import_minari, folder)
-
-
-def test_minari_round_trip_opens_no_connection(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("a connection was opened")
-
-    monkeypatch.setattr(socket, "socket", refuse)
-    monkeypatch.setattr(socket, "create_connection", refuse)
-    demos = demonstrations(actions=False)
-    assert import_minari(export_minari(demos, tmp_path / "set-v0")).fingerprint() == (
-        demos.fingerprint()
-    )

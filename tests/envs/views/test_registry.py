@@ -183,12 +183,12 @@ def test_registry_parallel_equals_single(case: Case) -> None:
     def planned(i: int) -> Any:
         return lambda seen: np.full(len(seen), plan[clock["t"], i])
 
-    focal, *rest = everyone.possible_agents
-    env = case.single(others={name: planned(i) for i, name in enumerate(rest, start=1)})
+    *rest, focal = everyone.possible_agents
+    env = case.single(focal=focal, others={name: planned(i) for i, name in enumerate(rest)})
     assert np.array_equal(env.reset(seed=2)[0], everyone.reset(seed=2)[0][focal])
     for t, row in enumerate(plan):
         clock["t"] = t
-        seen, reward, over, cut, info = env.step(int(row[0]))
+        seen, reward, over, cut, info = env.step(int(row[-1]))
         all_seen, rewards, overs, cuts, infos = everyone.step(
             dict(zip(everyone.possible_agents, row.tolist(), strict=True))
         )

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
+from refusals import refuses
 
 import animarl_envs
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import MissingExtraError
 from animarl_envs.species import SILKMOTH, SPECIES
 from animarl_envs.species.options import with_options
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
@@ -123,13 +124,11 @@ def test_tasks_for_memory_show_the_hits_of_this_step_alone() -> None:
 
 @pytest.mark.parametrize("given", [(0.1, 0.0, 0.1), (0.0, 0.01, 0.01), (0.0, 0.4), "wide", 3])
 def test_tasks_refuse_a_region_without_starts(given: Any) -> None:
-    with pytest.raises(InputError, match=r"start_region is .*: give the lowest"):
-        with_options(SILKMOTH, start_region=given)
+    refuses(r"start_region is .*: give the lowest", with_options, SILKMOTH, start_region=given)
 
 
 def test_tasks_without_recorded_starts_refuse_the_reward_of_recordings() -> None:
-    with pytest.raises(InputError, match="recorded=True"):
-        DTWReward(gym.make("AnimaRL/Silkmoth-v0"))
+    refuses("recorded=True", DTWReward, gym.make("AnimaRL/Silkmoth-v0"))
 
 
 def test_gymnasiums_checker_passes_without_the_extra_for_pictures(

@@ -1,6 +1,7 @@
 """The chase world against a plain reference, against recorded episodes, and its invariants."""
 
 import math
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
-from animarl_envs.locomotion import COAST, Locomotion
+from animarl_envs.locomotion import COAST
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY
-from animarl_envs.worlds.chase.world import ChaseWorld
-from animarl_envs.worlds.rules import LOOKS, SOFTENING, WALL_MARGIN, WALL_WEIGHT
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.chase.neighbours import FEW
+from animarl_envs.worlds.chase.world import ChaseWorld, observe
 
 Array = NDArray[Any]
 
@@ -101,7 +103,7 @@ def reference_paper(position: Array, velocity: Array, before: Array, i: int) -> 
 
 
 @pytest.mark.parametrize("kind", ["full", "paper"])
-@pytest.mark.parametrize("pursuers", [1, 2, 3, 4, 9])
+@pytest.mark.parametrize("pursuers", [1, 2, 3, FEW, FEW + 1, FEW + 2, 12])
 def test_kernels_agree_with_the_scalar_reference(pursuers: int, kind: str) -> None:
     reference = {"full": reference_full, "paper": reference_paper}[kind]
     rng = np.random.default_rng(pursuers)
@@ -130,15 +132,11 @@ def test_recorded_actions_reproduce_recorded_episodes(data_dir: Path, condition:
     file = data_dir / "agents_collab_hunting" / f"episodes_c2ae_{condition}_slow2.4.npz"
     demos = read(file)
     assert len(demos) == 500
+    slow = {name: {"thrust": 2.4} for name in ("predator_0", "predator_1")}
     scenario = make_scenario(
-        AGENT,
-        demos=demos,
-        split=None,
-        locomotion={"predator_0": {"thrust": 2.4}, "predator_1": {"thrust": 2.4}},
+        AGENT, demos=demos, split=None, locomotion=slow, contact_radius=0.1, time_limit=301,
         arena=Arena("square", size=1.0, boundary=1.0),
-        contact_radius=0.1,
-        time_limit=301,
-    )
+    )  # fmt: skip
     made = ChaseWorld(scenario, len(demos))
     made.reset(demo=np.arange(len(demos)))
     steps = demos.lengths - 1
@@ -161,49 +159,13 @@ def test_recorded_actions_reproduce_recorded_episodes(data_dir: Path, condition:
 # -- ends and rewards -----------------------------------------------------------------------------
 
 APART = [[-0.5, 0.0], [-0.5, 0.4], [0.5, 0.0]]
-NEAR = [[0.45, 0.0], [0.0, 0.4], [0.54, 0.0]]
-
-
-@pytest.mark.parametrize(("condition", "second"), [(0, 0.0), (1, 1.0)])
-def test_a_capture_pays_the_catcher_or_all(condition: int, second: float) -> None:
-    made = world(start=NEAR, condition=condition)
-    made.step(np.array([[0, COAST, COAST]]))
-    assert made.outcome[0] == 1 and made.terminated[0] and not made.truncated[0]
-    assert made.components[0, :, 0].tolist() == [1.0, second, 0.0]
-    assert made.components[0, 2, 1] == 0.0
-
-
-def test_the_target_is_paid_for_every_step_that_it_lasts() -> None:
-    made = world(start=APART)
-    made.step(np.full((1, 3), COAST))
-    assert made.reward[0].tolist() == [0.0, 0.0, 0.1]
 
 
 def test_contact_is_judged_before_the_boundary() -> None:
-    made = world(start=[[1.0, 0.0], [0.0, 0.5], [1.09, 0.0]])
-    made.step(np.array([[COAST, COAST, 6]]))  # the prey leaves, but within the predator's reach
-    assert made.position[0, 2, 0] > 1.1
-    assert made.outcome[0] == TIME_OUT or made.outcome[0] == TARGET_OUT
     made = world(start=[[1.05, 0.0], [0.0, 0.5], [1.09, 0.0]])
-    made.step(np.array([[0, COAST, 6]]))
+    made.step(np.array([[0, COAST, 6]]))  # the prey leaves, but within the predator's reach
+    assert made.position[0, 2, 0] > 1.1
     assert made.outcome[0] == 1
-
-
-@pytest.mark.parametrize(
-    ("start", "who", "code"),
-    [
-        ([[-0.5, 0.0], [-0.5, 0.4], [1.09, 0.0]], 2, TARGET_OUT),
-        ([[-0.5, 1.09], [-0.5, 0.4], [-0.5, -0.9]], 0, PURSUER_OUT),
-    ],
-)
-def test_leaving_ends_it_with_a_penalty(start: Any, who: int, code: int) -> None:
-    made = world(start=start)
-    actions = np.full((1, 3), COAST)
-    actions[0, who] = 6
-    made.step(actions)
-    assert made.outcome[0] == code and made.terminated[0]
-    assert made.components[0, who, 2] == -10.0
-    assert made.components[0, :, 2].sum() == -10.0
 
 
 # -- options --------------------------------------------------------------------------------------
@@ -223,91 +185,6 @@ def test_a_replayed_path_is_followed_and_then_coasts() -> None:
     before = made.velocity[0, 1:].copy()
     made.step(np.array([[COAST, 0, 0]]))
     assert made.velocity[0, 1:] == pytest.approx(0.75 * before, abs=1e-12)
-
-
-def test_the_scripted_prey_outlives_a_resting_one() -> None:
-    lasted = []
-    for driver in ("scripted", "coast"):
-        drivers = {"predator_0": "scripted", "predator_1": "scripted", "prey": driver}
-        made = ChaseWorld(make_scenario("agent", demos=None, drivers=drivers), 100)
-        made.reset()
-        running = np.ones(100, dtype=bool)
-        count = np.zeros(100)
-        for _ in range(148):
-            made.step(np.zeros((100, 3), dtype=int))
-            count += running
-            running &= ~(made.terminated | made.truncated)
-        lasted.append(count.mean())
-    assert lasted[0] > 2 * lasted[1]
-
-
-def places(
-    moves: Locomotion, p: Any, v: Any, unit: Any, dt: float, steps: int
-) -> NDArray[np.float64]:
-    """Where an animal is after each of so many steps, its push the same."""
-    found = []
-    for _ in range(steps):
-        v = (1.0 - moves.damping) * v + moves.thrust * unit * dt
-        p = p + v * dt
-        found.append(p)
-    return np.array(found)
-
-
-def reference_scripted(made: ChaseWorld, b: int) -> int:
-    """What the scripted target does in copy ``b``: the action with the least crowded outlook."""
-    species = made.scenario.species
-    position, velocity, target = made.position[b], made.velocity[b], made.num_individuals - 1
-    moves, size, dt = species.locomotion[target], species.arena.size, species.dt
-    focus = reference_focus(position)[target]
-    steps = math.ceil(math.sqrt(size / moves.thrust) / dt)
-    looks = [(look + 1) * steps // LOOKS - 1 for look in range(LOOKS)]
-    costs = []
-    for k in range(made.num_actions):
-        direction = math.atan2(focus[1], focus[0]) - math.radians(30 * k)
-        unit = np.array([math.cos(direction), math.sin(direction)]) * (k < COAST)
-        own = places(moves, position[target], velocity[target], unit, dt, steps)[looks]
-        square = species.arena.shape == "square"
-        reach = np.abs(own) if square else np.linalg.norm(own, axis=1, keepdims=True)
-        depth = np.maximum(0.0, reach - size + WALL_MARGIN * size) / (WALL_MARGIN * size)
-        cost = WALL_WEIGHT * np.sum(depth**2)
-        for j in range(target):
-            to_me = position[target] - position[j]
-            to_me /= np.linalg.norm(to_me)
-            chaser = species.locomotion[j]
-            theirs = places(chaser, position[j], velocity[j], to_me, dt, steps)[looks]
-            apart = np.linalg.norm(theirs - own, axis=1) / size
-            cost += np.sum(1.0 / (apart**2 + SOFTENING))
-        costs.append(cost)
-    return int(np.argmin(costs))
-
-
-@pytest.mark.parametrize("species", [AGENT, FLY])
-def test_the_scripted_target_takes_the_least_crowded_way(species: Any) -> None:
-    options = {"demos": None, "drivers": {species.individuals[-1]: "scripted"}}
-    made = ChaseWorld(make_scenario(species, **options), 40)
-    free = ChaseWorld(make_scenario(species, demos=None), 40)
-    made.reset()
-    rng = np.random.default_rng(0)
-    chosen = []
-    for _ in range(15):
-        state = made.get_state()
-        actions = rng.integers(13, size=(40, 3))
-        actions[:, -1] = [reference_scripted(made, b) for b in range(40)]
-        chosen.append(actions[:, -1])
-        made.step(rng.integers(13, size=(40, 3)) * [0, 0, 1] + actions * [1, 1, 0])
-        free.set_state(state)
-        free.step(actions)
-        assert np.array_equal(made.position, free.position)
-    assert len(np.unique(chosen)) > 6
-
-
-@pytest.mark.parametrize("kind", [np.int8, np.int32, np.uint64])
-def test_actions_of_any_integer_type_mean_the_same(kind: Any) -> None:
-    one, other = world(6), world(6)
-    actions = np.random.default_rng(0).integers(13, size=(6, 3))
-    one.step(actions)
-    other.step(np.asfortranarray(actions.astype(kind)))
-    assert np.array_equal(one.observation, other.observation)
 
 
 def test_a_late_observation_is_that_of_steps_ago() -> None:
@@ -335,12 +212,6 @@ def test_starts_without_demonstration_are_uniform_and_not_in_contact() -> None:
     assert apart.min() >= AGENT.contact_radius
 
 
-def test_faster_by_a_factor_is_one_keyword() -> None:
-    made = make_scenario("agent", demos=None, locomotion={"prey": 1.2})
-    assert made.species.locomotion[2].thrust == pytest.approx(3.6)
-    assert made.species.locomotion[1] == Locomotion(0.25, 3.0)
-
-
 def test_the_fly_senses_the_centre() -> None:
     made = ChaseWorld(make_scenario(FLY, demos=None, observation="paper"), 20)
     made.reset()
@@ -355,10 +226,8 @@ def test_the_fly_senses_the_centre() -> None:
 def test_all_sense_the_edge_and_where_the_centre_is(options: Any, edge: float) -> None:
     made = world(20, **options)
     made.step(np.random.default_rng(0).integers(13, size=(20, 3)))
-    round_field = options.get("arena") == "disc"
-    out = (
-        np.linalg.norm(made.position, axis=2) if round_field else np.abs(made.position).max(axis=2)
-    )
+    norm = 2 if options.get("arena") == "disc" else np.inf
+    out = np.linalg.norm(made.position, ord=norm, axis=2)
     names = [c.name for c in made.observation_components]
     at = names.index("distance to the edge")
     assert names[at + 1 : at + 3] == ["centre of the arena ahead", "centre of the arena left"]
@@ -406,3 +275,65 @@ def test_walls_are_sensed_from_near(arena: str) -> None:
             ]  # fmt: skip
             assert made.observation[b, i, first:] == pytest.approx(expected, abs=1e-5)
     assert made.observation[..., first].min() < 0.1  # somebody is at a wall
+
+
+# -- the order of the others ----------------------------------------------------------------------
+
+
+def world_of(pursuers: int, copies: int = 3) -> ChaseWorld:
+    scenario = make_scenario("agent", demos=None, num_pursuers=pursuers)
+    world = make_world(scenario, copies)
+    assert isinstance(world, ChaseWorld)
+    return world
+
+
+@pytest.mark.parametrize("pursuers", [3, 12])
+def test_equal_distances_are_ordered_by_index(pursuers: int) -> None:
+    """On a circle around the target all are as far: it sees them in the order of their indices."""
+    species = world_of(pursuers).scenario.species
+    angle = 2 * np.pi * np.arange(pursuers) / pursuers
+    position = np.zeros((1, pursuers + 1, 2))
+    position[0, :-1, 0] = np.sign(np.cos(angle)) * 0.5  # only two places: distances tie exactly
+    velocity = np.zeros_like(position)
+    velocity[0, :-1, 1] = np.arange(pursuers)  # tells them apart
+    seen, _ = observe(species, position, velocity)  # type: ignore[arg-type]
+    world = world_of(pursuers)
+    names = [component.name for component in world.observation_components]
+    going = [at for at, one in enumerate(names) if one[:5] == "other" and "velocity y" in one]
+    np.testing.assert_allclose(seen[0, -1, going][:pursuers], np.arange(pursuers))
+
+
+@pytest.mark.parametrize("pursuers", [1, 2, FEW + 3])
+@pytest.mark.parametrize("target", [False, True])
+def test_nothing_but_observations_depends_on_who_observes(pursuers: int, target: bool) -> None:
+    scenario = make_scenario("agent", demos=None, num_pursuers=pursuers, observation_noise=0.01)
+    one = pursuers if target else 0
+    all_, few = make_world(scenario, 9), make_world(scenario, 9, [one])
+    rng = np.random.default_rng(pursuers)
+    for world in (all_, few):
+        world.reset()
+    for t in range(12):
+        actions = rng.integers(13, size=(9, pursuers + 1))
+        for world in (all_, few):
+            world.step(actions)
+            world.reset(world.terminated | world.truncated)
+        full, asked = all_.get_state(), few.get_state()
+        for name in full.keys() - {"sensed", "observation", "history"}:
+            np.testing.assert_array_equal(asked[name], full[name], err_msg=f"{name}, step {t}")
+        assert np.array_equal(few.observation[:, one], all_.observation[:, one])
+        others = np.arange(pursuers + 1) != one
+        assert not few.sensed[:, others].any()
+        few = pickle.loads(pickle.dumps(few))
+
+
+def test_the_focus_at_distance_zero_is_the_same_in_worlds_and_in_recordings() -> None:
+    species = world_of(2).scenario.species
+    position = np.array([[[0.1, 0.2], [0.5, 0.5], [0.1, 0.2]], [[0.3, 0.1]] * 3])
+    _, towards = observe(species, position, np.zeros_like(position))  # type: ignore[arg-type]
+    np.testing.assert_allclose(towards, focus_directions(position, species.roles))
+    world = world_of(2, 1)
+    world._position[...] = np.array([[0.0, 0.3], [0.5, 0.0], [0.2, 0.1]])[:, :, None]
+    world.reset(np.zeros(1, dtype=bool))  # observes again
+    world._position[0] = world._position[2]
+    world.reset(np.zeros(1, dtype=bool))  # observes again
+    np.testing.assert_allclose(world.towards, focus_directions(world.position, species.roles))

@@ -34,6 +34,13 @@ def test_a_world_executes_what_was_demonstrated_then_what_is_asked() -> None:
     assert world.executed(asked) is asked
 
 
+def warm_up_rows(demos: Any) -> set[tuple[int, ...]]:
+    """What all individuals did in some step of a warm-up."""
+    inferred = demonstrated_actions(demos, NEWT.locomotion)
+    starts = demos.offsets[:-1]
+    return {tuple(row) for s in starts for row in inferred[s : s + NEWT.warmup].tolist()}
+
+
 def test_the_replay_memory_holds_executed_actions() -> None:
     env = SlotVecEnv(NEWT, 2, demos=NEWTS, dtw=None, time_limit=20)
     model = DQN("GruPolicy", env, seed=0, buffer_size=4000, learning_starts=10**6)
@@ -41,14 +48,8 @@ def test_the_replay_memory_holds_executed_actions() -> None:
     assert model.replay_buffer is not None
     frames, shown = model.replay_buffer.ring.frames, env.scenario.demos
     assert shown is not None
-    inferred = demonstrated_actions(shown, NEWT.locomotion)
     held = {tuple(row) for row in frames.actions[frames.warmup].tolist()}
-    possible = {
-        tuple(row)
-        for first in shown.offsets[:-1]
-        for row in inferred[first : first + NEWT.warmup].tolist()
-    }
-    assert held and held <= possible
+    assert held and held <= warm_up_rows(shown)
 
 
 class Echo:
@@ -121,11 +122,5 @@ def test_an_evaluation_tells_a_policy_what_was_executed(monkeypatch: pytest.Monk
         model.policy, "remember", lambda state, done: told.append(done) or kept(state, done)
     )
     evaluate_individuals(model, env, 2)
-    inferred = demonstrated_actions(env.scenario.demos, NEWT.locomotion)
-    possible = {
-        tuple(row)
-        for first in env.scenario.demos.offsets[:-1]
-        for row in inferred[first : first + NEWT.warmup].tolist()
-    }
     first_steps = np.stack(told[: NEWT.warmup]).reshape(-1, 3).tolist()
-    assert {tuple(row) for row in first_steps} <= possible
+    assert {tuple(row) for row in first_steps} <= warm_up_rows(env.scenario.demos)

@@ -9,16 +9,14 @@ import pytest
 from commands import animarl
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
-from recordings import CHASER, PREY, dogs, flock
+from recordings import CHASER, SYNTHETIC, flock, write_tracks
+from refusals import refuses
 
 import animarl_envs
 from animarl_algos.data.species_data import demonstration_rewards
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.summary import ending_in_words, outcome_name
-from animarl_envs.errors import InputError
-from animarl_envs.fitting.custom_species import species_of
-from animarl_envs.fitting.tracking import track
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.scenario import make_scenario
@@ -63,15 +61,9 @@ def test_bodies_and_senses_are_those_of_pursuers_and_a_target(count: int) -> Non
     """Who pursues changes rewards and nothing else: bit for bit the same paths and views."""
     worlds = []
     for option in ("num_pursuers", "num_targets"):
-        worlds.append(
-            make_world(
-                make_scenario(
-                    with_options(AGENT, **{option: count}, lone_pursuer=option == "num_targets"),
-                    demos=None, locomotion=CHASER, time_limit=60,
-                ),
-                20,
-            )
-        )  # fmt: skip
+        species = with_options(AGENT, **{option: count}, lone_pursuer=option == "num_targets")
+        scenario = make_scenario(species, demos=None, locomotion=CHASER, time_limit=60)
+        worlds.append(make_world(scenario, 20))
         worlds[-1].seed(np.arange(20))
         worlds[-1].reset()
     rng = np.random.default_rng(0)
@@ -151,8 +143,7 @@ def test_a_dog_that_follows_its_script_comes_nearer_than_one_that_stands_still()
     ],
 )
 def test_what_contradicts_is_refused(options: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        make_scenario("agent", **options)
+    refuses(said, make_scenario, "agent", **options)
 
 
 # -- demonstrations -------------------------------------------------------------------------------
@@ -192,24 +183,6 @@ def test_a_flock_that_replays_its_recording_has_no_distance_from_it() -> None:
         assert (max(distances) < 1e-6) if near else (min(distances) > 1e-3)
 
 
-def test_locomotion_of_a_flock_is_found_again() -> None:
-    fitted = species_of(flock(2)).locomotion
-    for own, truth in zip(fitted, (PREY, PREY, CHASER), strict=True):
-        assert own.damping == pytest.approx(truth.damping, abs=0.02)
-        assert own.thrust == pytest.approx(truth.thrust, rel=0.05)
-
-
-def test_a_flock_is_tracked_as_closely_as_dogs_and_a_sheep() -> None:
-    apart = {}
-    for demos, locomotion in (
-        (flock(2), (PREY, PREY, CHASER)), (dogs(2), (CHASER, CHASER, PREY)),
-    ):  # fmt: skip
-        followed = track(demos, locomotion)
-        apart[demos.name] = np.abs(followed.positions - demos.positions).max()
-    assert apart["flock.npz"] < 1e-6
-    assert apart["dogs.npz"] < 1e-6
-
-
 def ended(outcome: int, last: list[list[float]]) -> Demonstrations:
     """A flock of two and a dog that stand for three frames, the last as given."""
     first = [[0.5, 0.0], [0.0, 0.5], [-0.5, -0.5]]
@@ -217,8 +190,7 @@ def ended(outcome: int, last: list[list[float]]) -> Demonstrations:
     path = np.array([first, first, last], dtype=float)
     return demonstrations_of(
         species, [path], {}, condition=np.zeros(1), outcome=np.array([outcome]),
-        split=np.array(["train"]), recording=np.array(["r"]),
-        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
+        split=np.array(["train"]), recording=np.array(["r"]), provenance=SYNTHETIC,
     )  # fmt: skip
 
 
@@ -260,17 +232,9 @@ def test_endings_are_told_in_words() -> None:
 
 def written(folder: Path, demos: Demonstrations, names: dict[str, str]) -> list[Path]:
     """A table of every episode, as a tracker would write it, under other names."""
-    files = []
-    for one in demos:
-        rows = ["frame,individual,x,y"]
-        for frame, points in enumerate(one.positions):
-            rows += [
-                f"{frame},{names[name]},{x:.6f},{y:.6f}"
-                for name, (x, y) in zip(demos.individuals, points, strict=True)
-            ]
-        files.append(folder / f"field_{one.index}.csv")
-        files[-1].write_text("\n".join([*rows, ""]))
-    return files
+    given = [names[name] for name in demos.individuals]
+    files = [folder / f"field_{one.index}.csv" for one in demos]
+    return [write_tracks(file, one.positions, given) for file, one in zip(files, demos)]
 
 
 def test_tables_of_a_sheepdog_become_a_run_with_a_report(tmp_path: Path) -> None:
@@ -301,18 +265,13 @@ def test_a_table_of_roles_names_the_dog_of_every_field(tmp_path: Path) -> None:
     table.write_text("\n".join([*rows, ""]))
     animarl("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "a.npz")
     assert Demonstrations.load(tmp_path / "a.npz").roles == ("target", "target", "pursuer")
-    for more, why in (
-        ("field_0,rex,pursuer", "several pursuers and several targets"),
-        ("field_0,rex,target", "there is no individual 'rex'"),
-    ):
-        table.write_text("\n".join([*rows, more, ""]))
-        with pytest.raises(InputError, match=why):
-            animarl("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
     lone = [row for row in rows if row != "field_0,lamb,target"]
-    for kept, why in (
+    words = ("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
+    for told, why in (
+        ([*rows, "field_0,rex,pursuer"], "several pursuers and several targets"),
+        ([*rows, "field_0,rex,target"], "there is no individual 'rex'"),
         (lone, "some recordings have one target and others several"),
         ([row for row in rows if "bella" not in row], "several targets but no pursuer in field_0"),
     ):
-        table.write_text("\n".join([*kept, ""]))
-        with pytest.raises(InputError, match=why):
-            animarl("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
+        table.write_text("\n".join([*told, ""]))
+        refuses(why, animarl, *words)

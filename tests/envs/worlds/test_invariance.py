@@ -143,30 +143,6 @@ def test_invariance_rotation_turns_the_paths(
 
 
 @often
-@given(seeds, pursuers, st.sampled_from(["square", "disc", "open"]), st.sampled_from(["x", "y"]),
-       st.sampled_from(["agent", "fly", "newt"]), st.sampled_from(["compact", "full", "paper"]),
-       st.booleans())  # fmt: skip
-def test_invariance_mirroring_mirrors_the_paths(
-    seed: int, count: int, shape: str, axis: str, name: str, kind: str, lone: bool
-) -> None:
-    """Mirrored starts and actions: all that is on the left is on the right, nothing else."""
-    chase = Chase.drawn(seed, count)
-    mirror = np.diag([1.0, -1.0] if axis == "x" else [-1.0, 1.0])
-    options = {"arena": shape, "observation": kind, "lone_pursuer": lone}
-    one = follow(name, chase, **options)
-    two = follow(name, chase.changed(mirror, MIRRORED[chase.actions]), **options)
-    assert two.position == pytest.approx(one.position @ mirror, abs=1e-6)
-    assert two.velocity == pytest.approx(one.velocity @ mirror, abs=1e-5)
-    assert two.reward == pytest.approx(one.reward)
-    assert two.ends == one.ends
-    components = one.world.observation_components
-    across = {"x": (" y", " sine"), "y": (" x", " cosine")}[axis]
-    turning = ("left", "bearing", " sine", "along")
-    odd = [c.name.endswith(across if c.frame == "arena" else turning) for c in components]
-    assert_seen_alike(one, two, np.where(odd, -1.0, 1.0), np.ones(len(odd), dtype=bool))
-
-
-@often
 @given(seeds, st.integers(2, 4), st.randoms(use_true_random=False),
        st.sampled_from(["agent", "fly", "newt"]), st.booleans())  # fmt: skip
 def test_invariance_relabelling_the_pursuers_permutes_theirs(

@@ -1,6 +1,7 @@
-"""The programmed moth: its sequence, and that it finds the source better with full senses."""
+"""The programmed moth: its sequence, its fit, and that it finds the source by its senses."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import pytest
 from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
 from animarl_envs.species import SILKMOTH
 from animarl_envs.worlds.search.programmed_moth import MothProgramme, ProgrammedMoth
+from tools.packaged_data import moth_fit
 from tools.packaged_data.moth_comparison import RECORDED_FIT
-from tools.packaged_data.moth_statistics import search_statistics
+from tools.packaged_data.moth_statistics import of_demonstrations, recorded_moths, search_statistics
 
 QUIET = MothProgramme(motor_noise=0.0, pace_spread=0.0, pause_rate=0.0, surge_speed=0.021)
 
@@ -124,3 +126,38 @@ def test_moths_stop_and_go_on_as_often_as_they_are_told() -> None:
     standing = [moths.act(seen)[:, 0] == COAST for _ in range(100)]
     share = programme.pause_rate * programme.pause / (1 + programme.pause_rate * programme.pause)
     assert np.mean(standing[20:]) == pytest.approx(share, abs=0.02)
+
+
+# -- the fitted numbers ---------------------------------------------------------------------------
+
+
+def numbers(programme: MothProgramme) -> list[float]:
+    """In the order of the bounds."""
+    turns = dict(zip(("turn 1", "turn 2", "turn 3"), programme.turns, strict=True))
+    return [turns.get(name) or getattr(programme, name) for name in moth_fit.BOUNDS]
+
+
+def within_bounds(programme: MothProgramme) -> bool:
+    low, high = np.array(list(moth_fit.BOUNDS.values())).T
+    found = np.array(numbers(programme))
+    return bool((found >= low * 0.99).all() and (found <= high * 1.01).all())
+
+
+def test_the_bounds_name_every_number_of_the_programme() -> None:
+    names = {name for name in moth_fit.BOUNDS if not name.startswith("turn ")} | {"turns"}
+    assert names == set(vars(MothProgramme()))
+    assert within_bounds(moth_fit.programme_of(moth_fit.start_point()))
+    assert within_bounds(MothProgramme())
+
+
+@pytest.mark.realdata
+def test_the_shipped_numbers_meet_the_aims_better(
+    monkeypatch: pytest.MonkeyPatch, data_dir: Path
+) -> None:
+    monkeypatch.setattr(moth_fit, "EPISODES", 60)
+    recorded = of_demonstrations(recorded_moths(data_dir / "silkmoth_mothvr"))
+    shipped = moth_fit.losses(MothProgramme(), recorded, 1)
+    middle = moth_fit.losses(moth_fit.programme_of(moth_fit.start_point()), recorded, 1)
+    assert shipped.keys() == middle.keys()
+    assert sum(shipped.values()) < 0.5 * sum(middle.values())
+    assert shipped["speed"] < 1.0  # within the tolerance

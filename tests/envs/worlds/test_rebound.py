@@ -40,17 +40,6 @@ def test_a_straight_wall_takes_the_velocity_into_it_and_leaves_the_rest() -> Non
     assert made.reward[0, 2] == 0.1 and not made.terminated[0]
 
 
-def test_a_round_wall_keeps_the_velocity_along_it() -> None:
-    made = world(start=[*FAR, [0.9, 0.0]], arena="disc")
-    put(made, 2, [0.99, 0.0], [0.8, 0.4])
-    made.step(np.full((1, 3), COAST))
-    free = np.array([0.99, 0.0]) + 0.1 * 0.75 * np.array([0.8, 0.4])
-    normal = free / np.linalg.norm(free)
-    along = np.array([-normal[1], normal[0]])
-    assert made.position[0, 2] == pytest.approx(normal, abs=1e-9)
-    assert made.velocity[0, 2] == pytest.approx(along * (along @ (0.75 * np.array([0.8, 0.4]))))
-
-
 @pytest.mark.parametrize("shape", ["square", "disc"])
 def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
     made = world(50, arena=shape)

@@ -50,12 +50,11 @@ def mean_returns(
     where: Scenario, courses: dict[str, Course], kind: str, gamma: float
 ) -> NDArray[np.float64]:
     """``(courses, K)``, means over the episodes."""
-    return np.array(
-        [
-            returns(where, course, [shipped(kind)], gamma, repetitions=10)[0].mean(axis=0)
-            for course in courses.values()
-        ]
-    )
+    made = [
+        returns(where, course, [shipped(kind)], gamma, repetitions=10)
+        for course in courses.values()
+    ]
+    return np.array([each[0].mean(axis=0) for each in made])
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.99])

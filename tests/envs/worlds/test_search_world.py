@@ -1,4 +1,4 @@
-"""The odour-search world: agreement with a plain NumPy reference, ends, copies, refusals."""
+"""The odour-search world: agreement with a plain NumPy reference, senses, ends, refusals."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from refusals import refuses
-from search_worlds import STRAIGHT_UPWIND, random_actions, rollout, search_world
+from search_worlds import FLOW, ODOUR, STRAIGHT_UPWIND, WIND, random_actions, rollout, search_world
 
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import Scenario
@@ -141,11 +141,9 @@ def test_scene_details_say_where_the_antennae_are() -> None:
     world = search_world(2)
     rollout(world, np.zeros((3, 2), dtype=int))
     details = world.scene_details(1)
-    np.testing.assert_allclose(
-        details["antennae"].mean(axis=0) - world.position[1, 0],
-        [-0.013 * math.cos(math.radians(19)), 0.0],
-        atol=1e-12,
-    )
+    middle = details["antennae"].mean(axis=0) - world.position[1, 0]
+    expected = [-0.013 * math.cos(math.radians(19)), 0.0]
+    np.testing.assert_allclose(middle, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -169,3 +167,75 @@ def test_unknown_pattern_and_scripted_moth_are_refused() -> None:
     refuses("pattern 7 does not exist", search_world, train_plumes=(7,))
     scenario = Scenario(species=SILKMOTH, start="uniform", drivers=("scripted",))
     refuses("no scripted rule", SearchWorld, scenario, 1)
+
+
+# -- the senses -----------------------------------------------------------------------------------
+
+
+FRONT, RIGHT, LEFT, BACK = range(6, 10)
+
+
+# -- odour ----------------------------------------------------------------------------------------
+
+
+def test_plume_off_leaves_odour_at_baseline_for_ever() -> None:
+    world = search_world(8, plume="off")
+    seen = rollout(world, random_actions(300, 8))
+    assert (seen[..., ODOUR] == np.float32(SILKMOTH.odour_baseline)).all()
+
+
+def test_straight_upwind_of_a_continuous_plume_both_antennae_fire() -> None:
+    world = search_world(plume="continuous")
+    seen = rollout(world, np.zeros((10, 1), dtype=int))
+    assert (seen[:, 0, ODOUR] == 1.0).all()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_antenna_on_the_plume_s_side_fires_first(side: float) -> None:
+    """Walking upwind just beside the plume; side 1: the plume is on the moth's left, at -y."""
+    entry = 0.02 + 0.0025 + 0.013 * math.sin(math.radians(19))  # half width, radius, antenna
+    world = search_world(plume="continuous", start=[[0.3, side * (entry + 0.004)]])
+    towards = 11 if side > 0 else 1  # 30 deg to the left or to the right of upwind
+    seen = rollout(world, np.full((12, 1), towards))[:, 0, ODOUR]
+    first = [int(np.flatnonzero(seen[:, antenna] == 1.0)[0]) for antenna in range(2)]
+    near, far = (0, 1) if side > 0 else (1, 0)
+    assert first[near] < first[far]
+
+
+# -- wind, vision, condition ----------------------------------------------------------------------
+
+
+def test_wind_sectors_are_disjoint_cover_all_and_name_the_side() -> None:
+    for degrees in np.arange(-180.0, 180.0, 7.5):
+        direction = np.deg2rad(degrees)  # of the walk from upwind, to the left
+        speed = 0.02 * np.array([[[-math.cos(direction), -math.sin(direction)]]])
+        world = search_world(plume="off")
+        state = world.get_state()
+        state["velocity"][:] = speed
+        world.set_state(state)
+        world.step(np.array([[COAST]]))
+        seen = world.observation[0, 0]
+        assert seen[WIND].sum() == 1.0
+        assert seen[2] == pytest.approx(direction, abs=1e-6) or abs(degrees) == 180.0
+        inner = (abs(degrees) - 45.0) % 90.0
+        if inner > 1.0:  # away from the borders between sectors
+            side = [FRONT, RIGHT, BACK, LEFT][round(degrees / 90.0) % 4]
+            assert seen[side] == 1.0
+
+
+def test_reduced_senses_lose_wind_and_vision_and_nothing_else() -> None:
+    actions = random_actions(100, 4)
+    full, reduced = (rollout(search_world(4, condition=c), actions) for c in (0, 1))
+    assert np.abs(full[..., FLOW]).max() > 0 and full[..., WIND].any()
+    assert (reduced[..., FLOW] == 0).all() and not reduced[..., WIND].any()
+    lost = np.r_[FLOW, WIND]
+    np.testing.assert_array_equal(np.delete(full, lost, -1), np.delete(reduced, lost, -1))
+
+
+def test_a_body_at_rest_keeps_its_heading() -> None:
+    world = search_world(plume="off", rest_speed=0.01)
+    rollout(world, np.full((6, 1), 9))  # to the left
+    assert world.body_angle[0] == pytest.approx(math.pi / 2)
+    rollout(world, np.full((30, 1), COAST))
+    assert np.linalg.norm(world.velocity) < 0.01
+    assert world.body_angle[0] == pytest.approx(math.pi / 2)

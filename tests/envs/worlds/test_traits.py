@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 from search_worlds import random_actions, rollout, search_world
 
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.species import SILKMOTH
 from animarl_envs.species.traits import LARGEST, Floats, Traits, episode_traits, fit_traits
@@ -119,5 +119,4 @@ def test_own_recordings_get_traits_and_synthetic_ones_do_not() -> None:
     found = species_of(recorded).traits
     assert found is not None and len(found.table) == (demos.split == "train").sum()
     assert species_of(recorded).observation == "full"
-    with pytest.raises(InputError, match="traits is 3: give Traits or None"):
-        replace(SILKMOTH, traits=3)
+    refuses("traits is 3: give Traits or None", replace, SILKMOTH, traits=3)

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from textbook_dtw import closeness, textbook
 
-import animarl_envs
 from animarl_envs.dtw import WINDOW
 from animarl_envs.views import AnimalVectorEnv
-from animarl_envs.wrappers import DTWReward, DTWRewardParallel, DTWRewardVector
+from animarl_envs.wrappers import DTWReward, DTWRewardVector
 
 
 def test_single_view_pays_every_row_as_the_textbook_says() -> None:
@@ -97,21 +96,3 @@ def test_in_a_vector_each_copy_resets_its_own_rows(mode: str) -> None:
             assert infos["dtw_distance"][b] == pytest.approx(expected, abs=1e-9)
             ended[b] = over
     assert resets > 5
-
-
-def test_parallel_view_keeps_a_row_for_each_individual() -> None:
-    env = DTWRewardParallel(animarl_envs.parallel_env("agent"), alpha=2.0)
-    world = env.unwrapped.world
-    env.reset(seed=2)
-    recorded = world.demos.episode(int(world.demo[0])).positions
-    path = [world.position[0].copy()]
-    rng = np.random.default_rng(0)
-    while env.agents:
-        agents = list(env.agents)
-        _, rewards, _, _, infos = env.step({a: int(rng.integers(13)) for a in agents})
-        path.append(world.position[0].copy())
-        for i, agent in enumerate(agents):
-            rows = textbook(np.array(path)[:, i], recorded[:, i])
-            assert infos[agent]["dtw_distance"] == pytest.approx(rows[-1].min(), abs=1e-9)
-            paid = infos[agent]["task_reward"] - 2.0 * infos[agent]["dtw_penalty"]
-            assert rewards[agent] == pytest.approx(paid)
