@@ -449,6 +449,8 @@ def _sheets(path: Path) -> dict[str, Any]:
     kept: Any = {"header": None, "dtype": object, "keep_default_na": False}
     try:
         return dict(pandas.read_excel(path, sheet_name=None, engine="openpyxl", **kept))
+    except MemoryError:  # of which the wall speaks
+        raise
     except Exception as error:
         raise InputError(
             f"{path}: the workbook is damaged ({type(error).__name__}): save it again"

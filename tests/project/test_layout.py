@@ -87,7 +87,7 @@ BUDGETS = {
     "animarl_envs.demos": 1_271,
     "animarl_envs.drawing": 998,
     "animarl_envs.fitting": 2_368,
-    "animarl_envs.importing": 5_219,
+    "animarl_envs.importing": 5_221,
     "animarl_envs.species": 1_214,
     "animarl_envs.views": 959,
     "animarl_envs.worlds": 4_160,
