@@ -103,14 +103,13 @@ class SlotVecEnv(VecEnv):
             raise InputError(f"focal is {focal!r}: choose one of {', '.join(everyone)}")
         self.individuals = everyone if focal is None else (focal,)
         self._learners = np.array([everyone.index(name) for name in self.individuals])
-        drivers = {} if focal is None else {name: "replay" for name in everyone if name != focal}
         shown = None if full.demos is None else learnable(full.demos)
         self.demos: Demonstrations | None = shown
         self.scenario = make_scenario(
             full.species,
             demos=shown,
             split=split if shown is not None else None,
-            drivers=drivers,
+            drivers=focal_drivers(everyone, focal),
             **{k: v for k, v in options.items() if k in SCENARIO_OPTIONS},
         )
         if condition_flag is None:

@@ -20,7 +20,6 @@ from torch.nn import functional
 
 from animarl_algos.losses.values import ValueDistribution, masked_mean
 from animarl_algos.replay.store import NO_LABEL, SequenceBatch
-from animarl_envs.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -188,11 +187,7 @@ class ScoredActionsTemporalDifference(LossTerm):
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         batch, valid = minibatch.batch, minibatch.valid
-        if batch.action_penalties is None:
-            raise InputError(
-                "the demonstrations carry no penalties of all actions: "
-                "make the dataset with the fitted dynamics of their species"
-            )
+        assert batch.action_penalties is not None
         penalty = minibatch.phase.alpha * batch.action_penalties
         if minibatch.phase.scaled_penalties:
             unit = masked_mean(batch.action_penalties.mean(-1), valid)

@@ -46,29 +46,12 @@ class PolicySettings(NetworkSettings):
 class GruPolicy(BasePolicy):  # type: ignore[misc]
     """Recurrent dueling Q-networks, one per individual, with their target networks and optimiser.
 
-    Parameters
-    ----------
-    observation_space
-        Box; flattened to a vector.
-    action_space
-        Discrete, starting at 0.
-    lr_schedule
-        Learning rate from remaining progress, as in stable-baselines3.
-    individuals
-        Names of the K individuals in slot order.
-    condition_flag, treatment_head
-        See :class:`~animarl_algos.networks.networks.StackedQNetwork`.
-    acting
-        How actions are chosen.
-    seed
-        Of the initial weights and of the acting draws.
-    settings
-        Those of :class:`PolicySettings`.
-
-    Attributes
-    ----------
-    acting
-        May be set at any time and holds from the next prediction on.
+    Observations are a Box, flattened to a vector, actions Discrete from 0; ``individuals`` names
+    the K individuals in slot order. ``acting``, how actions are chosen, may be set at any time and
+    holds from the next prediction on. ``seed`` is that of the initial weights and of the acting
+    draws; for ``condition_flag`` and ``treatment_head`` see
+    :class:`~animarl_algos.networks.networks.StackedQNetwork`. ``settings`` are those of
+    :class:`PolicySettings`.
     """
 
     recurrent: ClassVar[bool] = True
@@ -88,10 +71,6 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         seed: int = 0,
         **settings: Any,
     ) -> None:
-        if not isinstance(observation_space, spaces.Box):
-            raise InputError(
-                f"observation space {observation_space} is not a Box: flatten it to a vector first"
-            )
         if not isinstance(action_space, spaces.Discrete) or action_space.start != 0:
             raise InputError(
                 f"action space {action_space} is not Discrete starting at 0: these learners choose "
@@ -199,25 +178,14 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int64], State]:
-        """Choose an action per slot.
+        """Choose an action per slot; return them, ``(S,)`` or ``()`` for the only slot, and memory.
 
-        Parameters
-        ----------
-        observation : ndarray (S, *shape) or (*shape)
-            Of all slots, or of the only slot.
-        state : (hidden (S, H) float32, previous action (S,) int64), optional
-            As returned by the last call; not changed. Where other actions than the returned ones
-            are executed, see :meth:`remember`. None starts fresh episodes.
-        episode_start : ndarray (S,) bool, optional
-            Slots whose memory is forgotten first.
-        deterministic
-            True: the greedy action (ties: the lowest index) and no random draw. False: by the
-            acting rule, with one draw per slot.
-
-        Returns
-        -------
-        actions : ndarray (S,) int64, or () for the only slot
-        state : (hidden, previous action)
+        ``observation`` is ``(S, *shape)`` of all slots, or ``(*shape)`` of the only one. ``state``
+        is the memory that the last call returned, hidden ``(S, H)`` float32 and previous action
+        ``(S,)`` int64; it is not changed, and None starts fresh episodes. Where other actions than
+        the returned ones are executed, see :meth:`remember`. ``episode_start`` ``(S,)`` bool: slots
+        whose memory is forgotten first. ``deterministic``: the greedy action (ties: the lowest
+        index) and no random draw; else by the acting rule, with one draw per slot.
         """
         q_values, hidden, single = self.advance(observation, state, episode_start)
         actions = self.choose(q_values, deterministic)

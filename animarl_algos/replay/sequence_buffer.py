@@ -34,17 +34,14 @@ class StateMode(enum.StrEnum):
     ZERO = "zero"  # zeros at the first trained step; no prefix
 
 
+BETA = (0.4, 1.0)  # exponent of the importance weights at the start of training and at its end
+
+
 class ReplaySettings(Checked):
     """What ``replay_buffer_kwargs`` may say."""
 
-    stratified: bool = True
-    """One draw from each of B equal parts of the priority mass instead of independent draws."""
     alpha: float = Field(0.6, ge=0)
     """Exponent of the priorities."""
-    beta_start: float = Field(0.4, ge=0, le=1)
-    """Exponent of the importance weights at the start of training."""
-    beta_end: float = Field(1.0, ge=0, le=1)
-    """The same at its end."""
     max_episodes: Annotated[int, Field(ge=1)] | None = None
     """Most episodes kept, however short; None: as many as the memory holds."""
 
@@ -129,26 +126,16 @@ class SequenceReplayBuffer:
     ----------
     buffer_size
         Rows of the ring: steps of the world, plus one per episode for its last observation.
-    observation_dim, num_individuals, num_actions
-        ``n``, ``K`` and the number of actions.
-    max_episode_steps
-        Longest episode.
-    num_copies
-        Copies of the world.
     sequence_length
         ``None``: sequences are whole episodes. Else pieces of at most this many steps, burn-in
         included: trained parts of ``sequence_length - burn_in`` steps lie end to end, so each step
         of an episode is trained in exactly one piece, and up to ``burn_in`` steps precede each.
     state_mode
-        See :class:`StateMode`.
-    state_size
-        Size H of the recurrent state; read for ``"stored"`` only.
+        See :class:`StateMode`; the recurrent state's ``state_size`` is read for ``"stored"``.
     prioritized
         ``False``: uniform draws, weights 1.
     seed, names
         Roots of the random streams; names default to ``individual_0`` and so on.
-    device
-        Where batches go.
     settings
         Those of :class:`ReplaySettings`.
     """
@@ -292,11 +279,6 @@ class SequenceReplayBuffer:
 
     # -- drawing ----------------------------------------------------------------------------------
 
-    def beta(self, progress: float) -> float:
-        """Exponent of the importance weights when a share ``progress`` of training is over."""
-        start, end = self.settings.beta_start, self.settings.beta_end
-        return start + min(max(progress, 0.0), 1.0) * (end - start)
-
     def sample(self, batch_size: int, progress: float = 0.0) -> SequenceBatch:
         """``batch_size`` sequences for each individual, drawn with replacement.
 
@@ -308,10 +290,9 @@ class SequenceReplayBuffer:
         shape = (self.num_individuals, batch_size)
         serials, slots = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
         weights = np.empty(shape, dtype=np.float32)
-        kernels.choose(
-            *(self.ring, self.streams, self.beta(progress), self.settings.stratified),
-            *(serials, slots, weights),
-        )
+        start, end = BETA
+        beta = start + min(max(progress, 0.0), 1.0) * (end - start)
+        kernels.choose(self.ring, self.streams, beta, serials, slots, weights)
         batch = gather(
             *(self.ring.frames, self.ring.sequences, slots),
             indices=serials,

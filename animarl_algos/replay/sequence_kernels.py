@@ -110,16 +110,13 @@ def find_leaf(trees, k, mass):  # type: ignore[no-untyped-def]
 
 
 @jit
-def draw_leaves(trees, streams, k, stratified, out):  # type: ignore[no-untyped-def]
+def draw_leaves(trees, streams, k, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` with leaves of tree ``k``, drawn in proportion to their priorities.
 
-    Stratified: one draw from each of ``len(out)`` equal parts of the total priority; otherwise
-    independent draws. Random numbers come from ``streams[k]``.
+    One from each of ``len(out)`` equal parts of the total priority, by ``streams[k]``.
     """
     for b in range(len(out)):
-        share = next_uniform(streams, k)
-        if stratified:
-            share = (b + share) / len(out)
+        share = (b + next_uniform(streams, k)) / len(out)
         out[b] = find_leaf(trees, k, share * trees[k, 1])
 
 
@@ -297,7 +294,7 @@ def _sort_by_length(sequences, slots, order):  # type: ignore[no-untyped-def]
 
 
 @jit
-def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: ignore[no-untyped-def]
+def choose(ring, streams, beta, serials, slots, weights):  # type: ignore[no-untyped-def]
     """Draw B sequences for each of K individuals, sorted by decreasing length.
 
     Individual k draws from its own priorities with its own stream: P(i) = p_i / sum p, and
@@ -311,11 +308,10 @@ def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: i
     order, raw = np.empty(columns, dtype=np.int64), np.empty(columns, dtype=np.int64)
     for k in range(len(streams)):
         if trees.shape[1] > 0:
-            draw_leaves(trees, streams, k, stratified, raw)
+            draw_leaves(trees, streams, k, raw)
         else:
             for b in range(columns):
-                share = next_uniform(streams, k)
-                share = (b + share) / columns if stratified else share
+                share = (b + next_uniform(streams, k)) / columns
                 raw[b] = (oldest + min(np.int64(share * num), num - 1)) % num_slots
         _sort_by_length(sequences, raw, order)
         largest = 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -89,35 +88,23 @@ class LocomotionFit:
         """Parameters for a species spec, one per individual."""
         return tuple(fit.locomotion for fit in self.individuals)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and strings, as :meth:`from_dict` reads them."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> LocomotionFit:
-        """The inverse of :meth:`to_dict`, also after a passage through JSON."""
-
-        def plain(value: Any) -> Any:
-            return tuple(value) if isinstance(value, list) else value
-
-        individuals = (
-            IndividualFit(**{key: plain(value) for key, value in fit.items()})
-            for fit in record["individuals"]
-        )
-        return cls(**{**record, "individuals": tuple(individuals)})
-
     def save(self, path: str | Path) -> Path:
         """Write JSON."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(self.to_dict(), indent=2) + "\n")
+        path.write_text(json.dumps(asdict(self), indent=2) + "\n")
         return path
 
     @classmethod
     def load(cls, path: str | Path) -> LocomotionFit:
         """Read JSON written by :meth:`save`."""
         try:
-            return cls.from_dict(json.loads(Path(path).read_text()))
+            record = json.loads(Path(path).read_text())
+            individuals = []
+            for fit in record["individuals"]:
+                known: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in fit.items()}
+                individuals.append(IndividualFit(**known))
+            return cls(**record | {"individuals": tuple(individuals)})
         except FileNotFoundError:
             raise InputError(f"{path}: there is no such file: check the path") from None
         except (ValueError, TypeError, KeyError, IndexError) as error:
@@ -289,15 +276,9 @@ def fits_by_kind(fit: LocomotionFit, demos: Demonstrations) -> list[IndividualFi
 
 
 def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
-    """Return warnings of what makes the fit doubtful, in sentences.
+    """Return warnings of what makes a fit to ``demos`` doubtful, in sentences.
 
-    Parameters
-    ----------
-    fit
-        Of any method.
-    demos
-        What it was fitted to; the joint fit of one thrust is made once more without leaving any
-        step out as a tracking jump.
+    The joint fit of one thrust is made once more without leaving any step out as a tracking jump.
     """
     seen = demos if fit.fitted_on == "all" else demos.select(split=fit.fitted_on)
     still, fast, unknown, jumps = list[str](), list[str](), list[str](), list[str]()

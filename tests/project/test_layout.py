@@ -72,13 +72,13 @@ BUDGETS = {
     "animarl_algos": 218,
     "animarl_algos.benchmark": 1_895,
     "animarl_algos.cli": 2_545,
-    "animarl_algos.data": 1_076,
+    "animarl_algos.data": 1_075,
     "animarl_algos.evaluation": 5_150,
     "animarl_algos.learner": 3_076,
-    "animarl_algos.losses": 603,
-    "animarl_algos.networks": 1_759,
+    "animarl_algos.losses": 598,
+    "animarl_algos.networks": 1_727,
     "animarl_algos.recipes": 197,
-    "animarl_algos.replay": 976,
+    "animarl_algos.replay": 953,
     "animarl_algos.report": 2_289,
     "animarl_algos.runs": 2_750,
     "animarl_algos.whatif": 2_184,
@@ -86,7 +86,7 @@ BUDGETS = {
     "animarl_envs": 2_403,
     "animarl_envs.demos": 1_271,
     "animarl_envs.drawing": 998,
-    "animarl_envs.fitting": 2_368,
+    "animarl_envs.fitting": 2_349,
     "animarl_envs.importing": 5_221,
     "animarl_envs.species": 1_214,
     "animarl_envs.views": 959,
@@ -94,7 +94,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 30_999
+TESTS = 30_995
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 

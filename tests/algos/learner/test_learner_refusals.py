@@ -183,8 +183,6 @@ WRONG: list[tuple[str, Any]] = [
     *(("policy_kwargs", {"hidden": value}) for value in (0, 2.5, "x")),
     *(("policy_kwargs", {"optimizer_kwargs": value}) for value in ({"lrr": 1}, {"eps": -1.0}, 3)),
     *(("replay_buffer_kwargs", {"alhpa": 1}), ("replay_buffer_kwargs", {"alpha": -1.0})),
-    *(("replay_buffer_kwargs", {"beta_start": value}) for value in (-2.0, 1.1)),
-    *(("replay_buffer_kwargs", {"beta_end": value}) for value in (-0.1, 2.0)),
     ("replay_buffer_kwargs", {"max_episodes": 0}),
 ]
 
