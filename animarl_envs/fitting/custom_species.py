@@ -27,7 +27,7 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, focus_directions, is_free, lone_pursuer
-from animarl_envs.locomotion import Locomotion
+from animarl_envs.locomotion import Locomotion, check_thrusts
 from animarl_envs.species import (
     CUSTOM,
     SILKMOTH,
@@ -141,6 +141,7 @@ def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomoti
     """
     from animarl_envs.fitting.joint import joint_locomotion
 
+    check_thrusts(thrusts)  # before it is looked up: True would be found as 1, a list not at all
     fit: tuple[Locomotion, ...] = _fitted_once(joint_locomotion, demos, thrusts)
     return fit
 
