@@ -86,7 +86,7 @@ BUDGETS = {
     "animarl_envs": 2_403,
     "animarl_envs.demos": 1_271,
     "animarl_envs.drawing": 998,
-    "animarl_envs.fitting": 2_349,
+    "animarl_envs.fitting": 2_350,
     "animarl_envs.importing": 5_221,
     "animarl_envs.species": 1_214,
     "animarl_envs.views": 959,
