@@ -71,6 +71,10 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         seed: int = 0,
         **settings: Any,
     ) -> None:
+        if not isinstance(observation_space, spaces.Box):
+            raise InputError(
+                f"observation space {observation_space} is not a Box: flatten it to a vector first"
+            )
         if not isinstance(action_space, spaces.Discrete) or action_space.start != 0:
             raise InputError(
                 f"action space {action_space} is not Discrete starting at 0: these learners choose "

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from animarl_envs import files
 from animarl_envs.checks import LONGEST_NAME
+from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing.table_layout import (
     BLANK,
@@ -301,8 +302,8 @@ def open_table(
 
 
 def table_or_none(path: Path, sheet: str | None = None) -> Table | None:
-    """Return the table in a file, ``None`` where there is none. For sniffing: it never raises."""
-    with contextlib.suppress(Exception):
+    """Return the table in a file, ``None`` where there is none. For sniffing."""
+    with contextlib.suppress(InputError, MissingExtraError), refusing_damage(path):
         return open_table(path, sheet=sheet)
     return None
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import load_npy, npz_members, read_npz
 from animarl_envs.importing.readers.registry import register_track_reader
@@ -163,8 +164,8 @@ def open_hdf(path: Path) -> Any:
 
 
 def hdf_keys(path: Path) -> set[str]:
-    """Return the names at the top of an HDF5 file; none if it is none."""
-    with contextlib.suppress(Exception):
+    """Return the names at the top of an HDF5 file; none if it is none, or damaged."""
+    with contextlib.suppress(InputError, MissingExtraError), refusing_damage(path):
         if is_hdf(path):
             with open_hdf(path) as file:
                 return set(file.keys())

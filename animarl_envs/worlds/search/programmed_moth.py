@@ -19,11 +19,13 @@ e72001.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.errors import InputError
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.worlds.search.layout import Seen
@@ -55,6 +57,19 @@ class MothProgramme:
     pace_spread: float = 0.138  # of moths: standard deviation of the logarithm of their speed
     pause_rate: float = 0.118  # how often a walking moth stops [1 / s]
     pause: float = 1.39  # how long it then stands, on average [s]
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = name in ("motor_noise", "slip", "pace_spread", "pause_rate", "pause")
+            if name == "turns":
+                if not all(0 < t < math.inf for t in value):
+                    raise InputError(f"turns are {value}: give positive durations in seconds")
+            elif name in ("careful", "odour_turn", "wind_turn"):
+                if name == "careful" and not 0 < value <= 1:
+                    raise InputError(f"careful is {value}: it must lie between 0 and 1")
+            elif not (value >= 0 if least else value > 0) or not value < math.inf:
+                allowed = "zero or positive" if least else "a positive number"
+                raise InputError(f"{name} is {value}: it must be {allowed}")
 
 
 @dataclass(eq=False)

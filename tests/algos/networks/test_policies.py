@@ -263,14 +263,15 @@ def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("action_space", "message"),
+    ("observation_space", "action_space", "message"),
     [
-        (spaces.Box(-1, 1, (2,)), "not Discrete"),
-        (spaces.Discrete(3, start=1), "starting at 0"),
+        (spaces.Discrete(3), ACTIONS, "not a Box"),
+        (OBSERVATIONS, spaces.Box(-1, 1, (2,)), "not Discrete"),
+        (OBSERVATIONS, spaces.Discrete(3, start=1), "starting at 0"),
     ],
 )
-def test_foreign_actions_are_refused(action_space: spaces.Space, message: str) -> None:
-    refuses(message, GruPolicy, OBSERVATIONS, action_space, ConstantSchedule(1e-3))
+def test_foreign_spaces_are_refused(observation_space, action_space, message: str) -> None:
+    refuses(message, GruPolicy, observation_space, action_space, ConstantSchedule(1e-3))
 
 
 @pytest.mark.parametrize(

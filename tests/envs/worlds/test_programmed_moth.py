@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
 from animarl_envs.species import SILKMOTH
@@ -98,6 +99,15 @@ def test_rates_repeat_with_the_seed() -> None:
     assert not np.array_equal(
         first.duration, search_statistics(SILKMOTH, 0, episodes=16, seed=6).duration
     )
+
+
+def test_bad_programmes_are_refused() -> None:
+    for change, says in (
+        ({"surge": 0.0}, "surge is 0.0"), ({"turns": (1.0, -1.0)}, "turns are"),
+        ({"motor_noise": -0.1}, "motor_noise"), ({"pause": -1.0}, "pause is -1.0"),
+        ({"pace_spread": np.inf}, "pace_spread"), ({"careful": 2.0}, "careful"),
+    ):  # fmt: skip
+        refuses(says, replace, QUIET, **change)
 
 
 def test_moths_differ_in_pace_and_each_keeps_its_own() -> None:
