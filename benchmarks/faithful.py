@@ -37,7 +37,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -88,7 +88,7 @@ class Bar:
     """
 
     measure: str
-    kind: str
+    kind: Literal["alike", "p", "auc", "floor", "tracking", "seconds", "difference", "relative"]
     limit: float = math.nan
 
     def row(self, found: Verdict, seconds: float) -> dict[str, Any] | None:
@@ -247,7 +247,7 @@ SETS = (
     DataSet("agent" + STOPPED, FILMED, group=ONCE),
     DataSet("moths", MOTHS, "silkmoth_mothvr/raw/*.csv --source mothvr", FOLDS),
     DataSet(
-        "termites", (*WALLED, Bar("duration", "null")),
+        "termites", (*WALLED, Bar("duration", "alike")),
         "termite_tandem/tracks_30fps_int16.npz --option kind=Cf --arena-width 145 "
         "--farther-than 0.36786 --closer-than 0.12262 --drop-jumps", FOLDS,
     ),

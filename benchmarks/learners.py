@@ -127,7 +127,13 @@ def acting_rate(seconds: float) -> float:
 def update_time(algo: str, mean_length: int, updates: int, device: str = "cpu") -> float:
     """Seconds of one update on synthetic episodes of ``mean_length`` steps on average."""
     model = filled_learner(algo, mean_length, device)
-    return best_time(lambda: model.train(1, BATCH), repeats=updates)
+
+    def update() -> None:
+        model.train(1, BATCH)
+        if device == "cuda":
+            torch.cuda.synchronize()
+
+    return best_time(update, repeats=updates)
 
 
 def filled_learner(algo: str, mean_length: int, device: str = "cpu") -> SequenceQLearning:

@@ -24,7 +24,7 @@ def has_cuda() -> bool:
 
 NEEDS: dict[str, tuple[Callable[[], bool], str]] = {
     "realdata": (DATA.is_dir, f"recorded data not found at {DATA}; set ANIMARL_DATA"),
-    "cuda": (has_cuda, "no CUDA device: never run on one so far (docs/learners.md, Devices)"),
+    "cuda": (has_cuda, "no CUDA device (docs/learners.md, Devices)"),
 }
 
 
