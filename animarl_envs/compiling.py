@@ -36,7 +36,7 @@ _user_cache_dir: Any = appdirs.user_cache_dir
 # whatever they name of a module that they import whole.
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
 _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTILINE)
-COMPILING = "compiling for this machine, about 15 s, once; `animarl compile` does it beforehand"
+COMPILING = "compiling for this machine, about 11 s, once; `animarl compile` does it beforehand"
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
 

@@ -106,3 +106,12 @@ class MissingExtraError(ImportError):
             if extra is None
             else f"{feature} needs the extra {extra!r}: pip install 'animarl[{extra}]'"
         )
+
+
+@contextmanager
+def require_extra(feature: str, extra: str) -> Iterator[None]:
+    """Raise a :class:`MissingExtraError` where an import fails, of what ``feature`` needs."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(feature, extra) from error

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.errors import InputError, require, require_extra
 
 try:
     import fcntl
@@ -305,10 +305,8 @@ def read_yaml(path: Path) -> Any:
 
 def parse_yaml(text: str, place: str) -> Any:
     """The data in a YAML text; ``place`` is for messages."""
-    try:
+    with require_extra("settings in YAML", "data"):
         import yaml
-    except ImportError as error:
-        raise MissingExtraError("settings in YAML", "data") from error
 
     class Loader(yaml.SafeLoader):
         depth = aliases = 0

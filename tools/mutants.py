@@ -42,7 +42,7 @@ LIBRARIES = (
 TARGETS = {
     "animarl_envs/locomotion.py": ("test_locomotion.py",),
     "animarl_envs/kinematics.py": ("test_kinematics.py",),
-    "animarl_envs/worlds/rules.py": ("test_rules.py",),
+    "animarl_envs/worlds/chase/kernels.py": ("test_rules.py",),
     "animarl_envs/dtw.py": ("test_dtw_rows.py",),
     "animarl_algos/losses/terms.py": ("test_losses.py",),
     "animarl_algos/losses/values.py": ("test_losses.py",),

@@ -100,7 +100,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import far_acting_rules
-    from animarl_algos.runs.folds import number_of_folds
+    from animarl_algos.runs.run_set import number_of_folds
     from animarl_envs.fitting.result import doubts
 
     console = shared.PlainConsole(WIDTH)
@@ -188,7 +188,7 @@ def report_command(run: Path) -> None:
 def _open(given: dict[str, Any]) -> Run:
     """Return the run folder that a command's options ask for; refused before it is made."""
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.folds import number_of_folds
+    from animarl_algos.runs.run_set import number_of_folds
 
     species = asked_species(given["env"], given["species"])
     with shared.suggest_import_on_error(given["file"], takes=(shared.SOURCE,)):

@@ -25,9 +25,14 @@ from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
-from animarl_algos.runs.folds import all_tested, joined_rollouts, joined_tracking, trained_folds
 from animarl_algos.runs.run import Run, method_name
-from animarl_algos.runs.run_set import RunSet
+from animarl_algos.runs.run_set import (
+    RunSet,
+    all_tested,
+    joined_rollouts,
+    joined_tracking,
+    trained_folds,
+)
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS

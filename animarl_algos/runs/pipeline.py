@@ -33,9 +33,14 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
 from animarl_algos.runs.evaluating import evaluate_rollouts, report_inputs, roll_out
-from animarl_algos.runs.folds import all_tested, begin_folds, joined_rollouts, trained_folds
 from animarl_algos.runs.run import Run, method_name
-from animarl_algos.runs.run_set import RunSet
+from animarl_algos.runs.run_set import (
+    RunSet,
+    all_tested,
+    begin_folds,
+    joined_rollouts,
+    trained_folds,
+)
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged

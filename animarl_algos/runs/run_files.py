@@ -15,7 +15,7 @@ import pandas as pd
 import torch
 
 from animarl_algos.learner.checkpoint import load_tensors, summarise_error
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, require_extra
 from animarl_envs.files import write_then_rename
 
 OWN, GIVEN = ".pt", ".safetensors"
@@ -64,10 +64,8 @@ def write_weights(tensors: Mapping[str, torch.Tensor], file: Path) -> None:
 
 
 def _safetensors() -> Any:
-    try:
+    with require_extra("a model as safetensors", "algos"):
         from safetensors import torch as formats
-    except ImportError as error:
-        raise MissingExtraError("a model as safetensors", "algos") from error
     return formats
 
 

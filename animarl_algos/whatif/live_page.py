@@ -36,8 +36,8 @@ from animarl_envs.worlds import observation_components
 from animarl_envs.worlds.chase import layout as chase_layout
 from animarl_envs.worlds.chase import senses as chase_senses
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
+from animarl_envs.worlds.search import kernels as search_kernels
 from animarl_envs.worlds.search import layout as search_layout
-from animarl_envs.worlds.search import senses as search_senses
 from animarl_envs.worlds.search.world import SearchWorld
 
 MOST_INDIVIDUALS = 60
@@ -292,7 +292,7 @@ def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
 
 
 def _search_senses(species: SearchSpecies) -> dict[str, Any]:
-    senses = search_senses.senses_of(species)._asdict()
+    senses = search_kernels.senses_of(species)._asdict()
     columns = {seen.name: int(seen) for seen in search_layout.Seen}
     return {"columns": columns, **{name: _plain(value) for name, value in senses.items()}}
 

@@ -22,7 +22,7 @@ from animarl_envs.demos.summary import RECORDED_SCALE
 from animarl_envs.drawing import palette
 from animarl_envs.drawing.palette import BODIES, RGB, colour_of
 from animarl_envs.drawing.scene import Scene, SceneRecorder
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, require_extra
 from animarl_envs.files import write_then_rename
 from animarl_envs.species.base import body_of_each
 from animarl_envs.worlds.base import World
@@ -115,10 +115,8 @@ class Renderer:
         self.closed = False
         """Whether the user has closed the window; :meth:`draw` then shows nothing."""
         os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        try:
+        with require_extra("drawing", "render"):
             import pygame
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("drawing", "render") from error
         self._pygame: Any = pygame
         pygame.font.init()
         self._text_size = max(9, round(0.024 * size))
@@ -501,11 +499,9 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         raise InputError(f"{path}: a clip cannot be written as {suffix!r}: use .gif or .mp4")
     if not 0 < fps < math.inf:
         raise InputError(f"fps is {fps!r}: it must be a positive number")
-    try:
+    with require_extra("writing a clip", "render"):
         import imageio.v2 as imageio
         from PIL import Image
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("writing a clip", "render") from error
 
     def reduced(pictures: Iterable[NDArray[np.uint8]]) -> Iterator[Any]:
         """In few colours each, without dithering: areas stay even, and the file small."""

@@ -14,7 +14,7 @@ from animarl_envs.demos import summary
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED
 from animarl_envs.drawing import palette
-from animarl_envs.errors import MissingExtraError
+from animarl_envs.errors import require_extra
 from animarl_envs.files import write_then_rename
 from animarl_envs.focus import distances_to_target
 
@@ -30,11 +30,9 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
     gaps (black). Below: durations, path lengths, speeds, distances to the target, outcomes, and
     what the cleaning found.
     """
-    try:
+    with require_extra("the summary figure", "algos"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("the summary figure", "algos") from error
     path, unit = Path(path), summary.unit_of(demos)
     with rc_context({"text.parse_math": False}):  # a name with dollar signs is a name
         figure = Figure(figsize=(13, 9.5), layout="constrained")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, require_extra
 from animarl_envs.locomotion import shorter_turn
 from animarl_envs.species.turning import Turning
 
@@ -44,10 +44,8 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
     speeds = np.hypot(velocity[:, 0], velocity[:, 1])
     if not (speeds > 0).any():
         return None
-    try:
+    with require_extra("fitting how bodies turn", "data"):
         from scipy.optimize import least_squares
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("fitting how bodies turn", "data") from error
     speed, numbers = float(np.median(speeds[speeds > 0])), np.array(START)
 
     def turning(tried: Floats) -> Turning:
@@ -107,23 +105,17 @@ def free_running(demos: Demonstrations, turning: Turning, individual: int = 0) -
 def heading_misses(demos: Demonstrations, rule: Turning | Floats, individual: int = 0) -> Floats:
     """Absolute differences from the recorded headings ``(2, steps)`` [rad], at all but first
     frames: after one step from the recorded state, and running free from the first one."""
-    heading = _recorded(demos, individual)[0][_steps(demos)]
-    return np.abs(shorter_turn(np.stack(_predicted(demos, rule, individual)), heading))
-
-
-def _predicted(
-    demos: Demonstrations, rule: Turning | Floats, individual: int
-) -> tuple[Floats, Floats]:
-    """Headings ``(steps,)`` after one step from the recorded state, and running free."""
     heading, velocity = _recorded(demos, individual)
     steps = _steps(demos)
-    if not isinstance(rule, Turning):
-        return rule[steps], rule[steps]
-    turn = np.zeros(len(heading))
-    turn[steps] = shorter_turn(heading[steps], heading[steps - 1])
-    before = turn[steps - 1], heading[steps - 1]
-    predicted = before[1] + rule.next_turn(*before, velocity[steps])
-    return predicted, free_running(demos, rule, individual)[steps]
+    if isinstance(rule, Turning):
+        turn = np.zeros(len(heading))
+        turn[steps] = shorter_turn(heading[steps], heading[steps - 1])
+        before = turn[steps - 1], heading[steps - 1]
+        once = before[1] + rule.next_turn(*before, velocity[steps])
+        predicted = np.stack([once, free_running(demos, rule, individual)[steps]])
+    else:
+        predicted = np.stack([rule[steps]] * 2)
+    return np.abs(shorter_turn(predicted, heading[steps]))
 
 
 def _recorded(demos: Demonstrations, individual: int) -> tuple[Floats, Floats]:

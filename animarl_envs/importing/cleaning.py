@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.checks import check_options, option
 from animarl_envs.demos.episode import FILLED, HEADING
-from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.importing.tracks import CENTROID, Tracks
 from animarl_envs.locomotion import shorter_turn
 
@@ -239,10 +239,8 @@ def smooth(bodies: Floats, cutoff: float, frame_rate: float, name: str = "tracks
 
     The two passes together halve the power twice: the amplitude at the cutoff is 1/2.
     """
-    try:
+    with require_extra("smoothing", "data"):
         from scipy.signal import butter, filtfilt
-    except ImportError as error:
-        raise MissingExtraError("smoothing", "data") from error
     require(
         cutoff < frame_rate / 2,
         f"{name}: smoothing at {cutoff:g} Hz needs more than {2 * cutoff:g} frames a second, "

@@ -9,7 +9,7 @@ from typing import Any
 
 from animarl_envs.checks import check_options, option, plain
 from animarl_envs.demos.splits import Splitting
-from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.files import read_yaml, write_then_rename
 from animarl_envs.importing.cleaning import Cleaning, Scaling
 from animarl_envs.importing.cutting import Cutting
@@ -111,10 +111,8 @@ class ImportRecipe:
 
     def save(self, path: str | Path) -> Path:
         """Write YAML."""
-        try:
+        with require_extra("recipes in YAML", "data"):
             import yaml
-        except ImportError as error:
-            raise MissingExtraError("recipes in YAML", "data") from error
         with write_then_rename(path) as part:
             part.write_text(yaml.safe_dump(self.to_dict(), sort_keys=False))
         return Path(path)

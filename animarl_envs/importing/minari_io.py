@@ -22,7 +22,7 @@ from animarl_envs.checks import plain
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.files import refuse_special
 from animarl_envs.locomotion import NUM_ACTIONS
 
@@ -39,13 +39,11 @@ def export_minari(demos: Demonstrations, folder: str | Path, dataset_id: str | N
     With ``MINARI_DATASETS_PATH`` set to the folder's parent, ``minari.load_dataset(folder.name)``
     finds it. ``dataset_id`` is by default the folder's name.
     """
-    try:
+    with require_extra("Minari datasets", "data"):
         import gymnasium as gym
         import minari
         from minari.data_collector import EpisodeBuffer
         from minari.dataset.minari_storage import MinariStorage
-    except ImportError as error:
-        raise MissingExtraError("Minari datasets", "data") from error
     folder = Path(folder).resolve()  # Minari mishandles relative paths
     require(not folder.exists(), f"{folder}: it exists already: name a new folder")
     actions, origin = _actions(demos)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, require_extra
 
 UTF_8 = "utf-8-sig"
 WESTERN = "cp1252"  # Latin-1 as Windows has it
@@ -94,10 +94,8 @@ def encoding_of(path: Path) -> str:
 
 
 def _guessed_encoding(path: Path, sample: bytes) -> str:
-    try:
+    with require_extra("reading tables that are not UTF-8", "data"):
         from charset_normalizer import from_bytes
-    except ImportError as error:
-        raise MissingExtraError("reading tables that are not UTF-8", "data") from error
     try:
         sample.decode("utf-8", errors="surrogatepass")
     except UnicodeDecodeError:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from animarl_envs import files
 from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.demos.episode import refusing_damage
-from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.errors import InputError, MissingExtraError, require, require_extra
 from animarl_envs.importing.table_layout import (
     BLANK,
     UTF_8,
@@ -71,11 +71,6 @@ class Table(Layout):
     encoding: str = UTF_8
     sheet: str | None = None
     kind: str = "text"  # or workbook, packed text, Parquet
-
-    @property
-    def parsed_separator(self) -> str:
-        """Between cells as they are parsed: blanks were made tabs."""
-        return "\t" if self.separator == BLANK else self.separator
 
     @property
     def description(self) -> str:
@@ -208,6 +203,7 @@ class Table(Layout):
         kinds = [pyarrow.float64()] * len(numbers)
         kinds += [pyarrow.dictionary(pyarrow.int32(), pyarrow.string())] * len(words)
         positions = [str(i) for i in range(len(self.names))]
+        between = "\t" if self.separator == BLANK else self.separator  # blanks were made tabs
         size = max(len(self._content or b"") or self.path.stat().st_size, 1)
         batches = []
         try:
@@ -215,7 +211,7 @@ class Table(Layout):
                 for batch in arrow.open_csv(
                     file,
                     arrow.ReadOptions(use_threads=False, block_size=BLOCK, column_names=positions),
-                    arrow.ParseOptions(delimiter=self.parsed_separator, newlines_in_values=True),
+                    arrow.ParseOptions(delimiter=between, newlines_in_values=True),
                     arrow.ConvertOptions(
                         column_types=dict(zip(at, kinds, strict=True)), include_columns=at,
                         null_values=NULLS, strings_can_be_null=True, decimal_point=self.decimal,
@@ -442,11 +438,9 @@ def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
 def _sheets(path: Path) -> dict[str, Any]:
     """All sheets of a workbook, as they are."""
     files.refuse_special(path)
-    try:
+    with require_extra("reading Excel workbooks", "data"):
         import openpyxl  # noqa: F401
         import pandas
-    except ImportError as error:
-        raise MissingExtraError("reading Excel workbooks", "data") from error
     kept: Any = {"header": None, "dtype": object, "keep_default_na": False}
     try:
         return dict(pandas.read_excel(path, sheet_name=None, engine="openpyxl", **kept))
@@ -468,7 +462,5 @@ def _text_of(cell: Any) -> str:
 
 def _pyarrow(part: str) -> tuple[Any, Any]:
     """Return the package Arrow and one of its modules."""
-    try:
+    with require_extra("reading tables", "data"):
         return import_module("pyarrow"), import_module(f"pyarrow.{part}")
-    except ImportError as error:
-        raise MissingExtraError("reading tables", "data") from error

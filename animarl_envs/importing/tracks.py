@@ -125,6 +125,16 @@ class Tracks:
         """The same with other positions ``(frames, individuals, 2)``."""
         return replace(self, positions=bodies[:, :, None], confidence=None, **changes)
 
+    def within(self, frames: slice, **changes: Any) -> Tracks:
+        """These frames of it, with further changes."""
+        return replace(
+            self,
+            positions=self.positions[frames],
+            confidence=None if self.confidence is None else self.confidence[frames],
+            signals={key: value[frames] for key, value in self.signals.items()},
+            **changes,
+        )
+
     def choose(self, names: Sequence[str]) -> Tracks:
         """Only these individuals, in this order."""
         for name in names:
@@ -164,16 +174,8 @@ def each_alone(tracks: Tracks) -> list[Tracks]:
         frames = np.flatnonzero(seen[:, who])
         if len(frames) > 1:
             own, when = tracks.choose([name]), slice(frames[0], frames[-1] + 1)
-            found.append(
-                replace(
-                    own,
-                    recording=f"{tracks.recording}/{name}",
-                    individuals=(LONE,),
-                    positions=own.positions[when],
-                    confidence=None if own.confidence is None else own.confidence[when],
-                    signals={key: value[when] for key, value in own.signals.items()},
-                )
-            )
+            recording = f"{tracks.recording}/{name}"
+            found.append(own.within(when, recording=recording, individuals=(LONE,)))
     return found
 
 
@@ -228,14 +230,8 @@ def _group_of(
     mean = tracks.bodies[when][:, who].mean(axis=0)
     inner = np.argsort(np.linalg.norm(mean - mean.mean(axis=0), axis=1), kind="stable")
     own = tracks.choose([tracks.individuals[i] for i in np.sort(who[inner[: len(names)]])])
-    return replace(
-        own,
-        individuals=names,
-        positions=own.positions[when],
-        confidence=None if own.confidence is None else own.confidence[when],
-        signals={key: value[when] for key, value in own.signals.items()},
-        start=tracks.start + when.start / (tracks.frame_rate or 1.0),
-    )
+    start = tracks.start + when.start / (tracks.frame_rate or 1.0)
+    return own.within(when, individuals=names, start=start)
 
 
 def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import MissingExtraError
+from animarl_envs.errors import require_extra
 
 Floats = NDArray[np.float64]
 
@@ -73,10 +73,8 @@ def fit_traits(
 
     Raises MissingExtraError without scipy, which the extra "data" has.
     """
-    try:
+    with require_extra("telling individuals apart by their traits", "data"):
         from scipy.stats import f
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("telling individuals apart by their traits", "data") from error
     num, (_, individuals, _) = len(lengths), positions.shape
     if num < FEWEST or lengths.min() < 3 * PARTS:
         return None

@@ -135,9 +135,42 @@ class FocalView(View):
         render_mode: str | None,
         options: dict[str, Any],
     ) -> None:
-        scenario, self.focal_index, self._policies = focal_scenario(
-            type(self), species, focal, others, recorded, options
-        )
+        """Make the world, in which the others replay, follow a rule, or a policy of their own."""
+        if "drivers" in options:
+            raise InputError(
+                "drivers is an option of parallel_env: say with focal who acts and with others "
+                "what moves the rest"
+            )
+        options = options if recorded else task_options(species, options)
+        with also_list_options_of(type(self).__init__, without=("drivers",)):
+            scenario = viewed_scenario(species, options)
+        names = scenario.names
+        focal = names[first_pursuer(scenario.species.roles)] if focal is None else focal
+        if focal not in names:
+            raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
+        rest = [name for name in names if name != focal]
+        pursued = "target" in scenario.species.roles  # of free animals a rule would say little
+        usual: Any = "replay" if scenario.paired and (recorded or not pursued) else "scripted"
+        rules: dict[str, Any] = dict.fromkeys(rest, usual if others is None else others)
+        if isinstance(others, Mapping):
+            unknown = sorted(set(others) - set(rest))
+            if unknown:
+                raise InputError(f"others names {unknown[0]!r}: choose among {', '.join(rest)}")
+            rules = dict.fromkeys(rest, usual) | dict(others)
+        drivers = list(scenario.drivers)
+        self.focal_index, self._policies = names.index(focal), dict[int, PolicyFunction]()
+        for name, rule in rules.items():
+            i = names.index(name)
+            if callable(rule):
+                self._policies[i] = rule
+            elif rule in DRIVERS and rule != "action":
+                drivers[i] = rule
+            else:
+                raise InputError(
+                    f"others gives {name} the rule {rule!r}: choose 'replay', 'scripted', 'coast' "
+                    "or a function from observations to actions"
+                )
+        scenario = replace(scenario, drivers=tuple(drivers))
         self._build(scenario, num_copies, render_mode, {self.focal_index, *self._policies})
 
     @property
@@ -186,56 +219,6 @@ def task_options(species: Species | str, options: Mapping[str, Any]) -> dict[str
     return {"time_cost": TIME_COST, **own, **options}
 
 
-def focal_scenario(
-    view: type,
-    species: Species | str,
-    focal: str | None,
-    others: Others,
-    recorded: bool,
-    options: dict[str, Any],
-) -> tuple[Scenario, int, dict[int, PolicyFunction]]:
-    """Make the scenario of a ``view`` with one focal individual.
-
-    Returns the scenario, the index of the focal individual, and the policies of those others that
-    follow one, by index.
-    """
-    if "drivers" in options:
-        raise InputError(
-            "drivers is an option of parallel_env: say with focal who acts and with others what "
-            "moves the rest"
-        )
-    options = options if recorded else task_options(species, options)
-    with also_list_options_of(view.__init__, without=("drivers",)):  # type: ignore[misc]
-        scenario = viewed_scenario(species, options)
-    names = scenario.names
-    focal = names[first_pursuer(scenario.species.roles)] if focal is None else focal
-    if focal not in names:
-        raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
-    rest = [name for name in names if name != focal]
-    pursued = "target" in scenario.species.roles  # of free animals a rule would say little
-    usual: Any = "replay" if scenario.paired and (recorded or not pursued) else "scripted"
-    if isinstance(others, Mapping):
-        unknown = sorted(set(others) - set(rest))
-        if unknown:
-            raise InputError(f"others names {unknown[0]!r}: choose among {', '.join(rest)}")
-        rules: dict[str, Any] = dict.fromkeys(rest, usual) | dict(others)
-    else:
-        rules = dict.fromkeys(rest, usual if others is None else others)
-    drivers, policies = list(scenario.drivers), {}
-    for name, rule in rules.items():
-        i = names.index(name)
-        if callable(rule):
-            policies[i] = rule
-        elif rule in DRIVERS and rule != "action":
-            drivers[i] = rule
-        else:
-            raise InputError(
-                f"others gives {name} the rule {rule!r}: choose 'replay', 'scripted', 'coast' "
-                "or a function from observations to actions"
-            )
-    return replace(scenario, drivers=tuple(drivers)), names.index(focal), policies
-
-
 # -- spaces and what is handed in -----------------------------------------------------------------
 
 
@@ -247,11 +230,6 @@ def observation_space(world: World) -> spaces.Box:
     high = np.array([c.high for c in world.observation_components], dtype=np.float32)
     rounding = 1e-5 * np.maximum(1.0, np.abs(high))
     return spaces.Box(low - rounding, high + rounding, dtype=np.float32)
-
-
-def action_space(world: World) -> spaces.Discrete:
-    """Return the space of the 12 M + 1 actions of :mod:`animarl_envs.locomotion`."""
-    return spaces.Discrete(world.num_actions)
 
 
 def checked_limit(name: str, most: Any) -> int | None:

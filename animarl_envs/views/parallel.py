@@ -17,7 +17,6 @@ from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     View,
-    action_space,
     check_action,
     checked_limit,
     cut_after,
@@ -83,7 +82,8 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self.possible_agents = list(scenario.names)
         self.agents: list[str] = []
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
-        self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
+        actions = self.world.num_actions
+        self.action_spaces = {a: spaces.Discrete(actions) for a in self.possible_agents}
         self.np_random = np.random.default_rng()
         self._cut = False  # whether a time limit ended the last episode
         size = 4 * len(self.possible_agents)

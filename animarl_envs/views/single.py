@@ -7,18 +7,13 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
 from animarl_envs.drawing.render import RENDER_MODES
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
-from animarl_envs.views.common import (
-    FocalView,
-    Others,
-    action_space,
-    check_action,
-    observation_space,
-)
+from animarl_envs.views.common import FocalView, Others, check_action, observation_space
 
 KEYS = {
     "w": 0, "wa": 30, "q": 60, "a": 90, "z": 120, "sa": 150,
@@ -92,7 +87,7 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
     ) -> None:
         self._build_focal(species, 1, focal, others, recorded, render_mode, options)
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
-        self.action_space = action_space(self.world)
+        self.action_space = Discrete(self.world.num_actions)
         self._running = False
 
     def get_keys_to_action(self) -> dict[str, int]:

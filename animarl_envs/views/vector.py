@@ -7,6 +7,7 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from animarl_envs.species import Species
 from animarl_envs.views.common import (
     FocalView,
     Others,
-    action_space,
     check_actions,
     checked_limit,
     chosen_demos,
@@ -89,7 +89,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.world)
-        self.single_action_space = action_space(self.world)
+        self.single_action_space = Discrete(self.world.num_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.reset_by_step = np.zeros(num_envs, dtype=bool)

@@ -1,13 +1,6 @@
 """Readers: files of trackers and of other projects become demonstrations."""
 
-from animarl_envs.importing.readers import (
-    arrays,
-    authors,
-    poses,
-    published,
-    table_files,
-    trackers,
-)
+from animarl_envs.importing.readers import arrays, published, table_files, trackers
 from animarl_envs.importing.readers.registry import (
     Reader,
     available_readers,
@@ -21,7 +14,7 @@ from animarl_envs.importing.readers.registry import (
 )
 
 __all__ = [
-    "Reader", "arrays", "authors", "available_readers", "default_recipe", "find_reader",
-    "follow", "get_reader", "poses", "published", "read", "read_tracks",
-    "register_track_reader", "table_files", "trackers",
+    "Reader", "arrays", "available_readers", "default_recipe", "find_reader", "follow",
+    "get_reader", "published", "read", "read_tracks", "register_track_reader", "table_files",
+    "trackers",
 ]  # fmt: skip

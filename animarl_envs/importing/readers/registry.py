@@ -50,7 +50,7 @@ class Reader:
 
     name: str
     description: str
-    extensions: tuple[str, ...]
+    extensions: Sequence[str]
     sniff: Callable[[Path], bool]
     function: Read
     finished: bool = False
@@ -96,28 +96,18 @@ class Reader:
 _READERS: dict[str, Reader] = {}
 
 
-def register_track_reader(
-    name: str,
-    description: str,
-    sniff: Callable[[Path], bool],
-    extensions: Sequence[str],
-    defaults: Mapping[str, Any] | None = None,
-    generic: bool = False,
-    finished: bool = False,
-) -> Callable[[Read], Read]:
+def register_track_reader(name: str, description: str, **more: Any) -> Callable[[Read], Read]:
     """Decorator: make a function ``read(path, **options) -> list[Tracks]`` known by ``name``.
 
     A function with a parameter ``progress`` is handed a callable that takes the share done. One
-    that reads ``finished`` episodes returns demonstrations. The other parameters are those of
+    that reads ``finished`` episodes returns demonstrations. ``more`` are the further fields of a
     :class:`Reader`.
     """
 
     def register(function: Read) -> Read:
         if name in _READERS:
             raise ValueError(f"reader {name!r} is registered twice")
-        _READERS[name] = Reader(
-            name, description, tuple(extensions), sniff, function, finished, defaults or {}, generic
-        )
+        _READERS[name] = Reader(name, description, function=function, **more)
         return function
 
     return register
@@ -146,7 +136,7 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
     if source is not None:
         return get_reader(source)
     for reader in available_readers():
-        fits = not reader.is_own and path.name.lower().endswith(reader.extensions)
+        fits = not reader.is_own and path.name.lower().endswith(tuple(reader.extensions))
         if fits and reader.sniff(path):
             return reader
     if path.is_dir() or path.suffix.lower() == ".npz":  # looked at without any library
@@ -158,7 +148,7 @@ def _find_own_reader(path: Path) -> str:
     """Return the name of this project's reader that recognises the file."""
     own = [reader for reader in available_readers() if reader.is_own]
     for reader in sorted(own, key=lambda reader: reader.generic):
-        if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
+        if path.name.lower().endswith(tuple(reader.extensions)) and reader.sniff(path):
             return reader.name
     from animarl_envs.importing.readers.arrays import is_hdf, open_hdf
     from animarl_envs.importing.readers.columns import suggested_command

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from animarl_envs.compiling import jit
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, require_extra
 from animarl_envs.worlds.plume.filaments import FilamentModel, paint
 
 NUM_PATTERNS = 5
@@ -328,10 +328,8 @@ def _read_movie(path: Path | None) -> Iterator[NDArray[Any]]:
             )
         yield from array
         return
-    try:
+    with require_extra("reading a plume movie", "render"):
         import imageio.v3 as imageio
-    except ImportError:
-        raise MissingExtraError("reading a plume movie", "render") from None
     try:
         for frame in imageio.imiter(path):
             yield frame if frame.ndim == 2 else frame[..., :3].mean(axis=-1)

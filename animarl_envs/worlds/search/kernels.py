@@ -1,23 +1,272 @@
-"""The kernels of the odour-search world: the scalar equations of one searcher, over all copies.
+"""The odour-search world, scalar by scalar: a body, what it senses, and a step of all copies.
 
 State arrays have the copy as their last axis: position and velocity ``(2, B)``, sensed ``(n, B)``,
-the rest is a :class:`animarl_envs.worlds.search.senses.Body`; the plume's table is a
+the rest is a :class:`Body`; the plume's table is a
 :class:`animarl_envs.worlds.plume.plume.HitTable`.
 """
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
+from typing import NamedTuple
 
+import numpy as np
 from numba.core import types
 from numba.experimental import structref
+from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit
+from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import TIME_OUT
-from animarl_envs.kinematics import next_velocity, residual
+from animarl_envs.kinematics import next_turn, next_velocity, residual, turn_between, wrapped
 from animarl_envs.scenario import ACTION, REPLAY
-from animarl_envs.worlds.search.senses import orient, read, sense, smell, wake
+from animarl_envs.species import SearchSpecies
+from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
+from animarl_envs.worlds.search.layout import ALIKE, HARDEST, ODOUR, PAPER, REST, SMALL, Seen
 from animarl_envs.worlds.streams import next_below, next_uniform
+
+
+class Senses(NamedTuple):
+    """Numbers of the body and its senses, as the kernels need them."""
+
+    dt: float
+    rest_speed: float
+    ahead: float  # of the antennae [arena unit]
+    beside: float
+    remains: float  # share of the odour signal above baseline after a step without a hit
+    baseline: float
+    trace_remains: float  # share of the slow trace
+    flow_threshold: float
+    flow_limit: float
+    damping: float
+    stride: float  # u dt [arena unit / s]
+    own_velocity: float  # factor on velocities without a scale
+    turns: bool  # by the four numbers below; otherwise the body points where it walks
+    persistence: float
+    gain: float
+    slip_cosine: float
+    slip_sine: float
+    turning_speed: float
+
+
+class Body(NamedTuple):
+    """State of the bodies beside position and velocity; ``B`` copies."""
+
+    heading: NDArray[np.float64]  # (2, B), unit vector, arena frame
+    angle: NDArray[np.float64]  # (B,), of the heading from upwind, to the left [rad]
+    turn: NDArray[np.float64]  # (B,), of the last step, to the left [rad]
+    odour: NDArray[np.float64]  # (2, B), signal of the left and right antenna
+    trace: NDArray[np.float64]  # (2, B), the same, decaying slowly to zero
+    traits: NDArray[np.float64]  # (2, B), of the individual [sd]
+
+    @classmethod
+    def of(cls, copies: int, baseline: float = 0.0) -> Body:
+        """Bodies that face upwind and smell nothing."""
+        heading = np.zeros((2, copies))
+        heading[0] = -1.0
+        odour = np.full((2, copies), baseline)
+        trace, traits = np.zeros((2, 2, copies))
+        return cls(heading, np.zeros(copies), np.zeros(copies), odour, trace, traits)
+
+
+def senses_of(species: SearchSpecies) -> Senses:
+    """The senses of a species."""
+    angle, dt, turning = math.radians(species.antenna_angle), species.dt, species.turning
+    own, scales = (0.0, 0.0, 1.0, 0.0, 1.0), species.scales
+    if turning is not None:
+        slip = math.cos(turning.slip), math.sin(turning.slip)
+        own = (turning.persistence, turning.gain, *slip, turning.speed)
+    return Senses(
+        dt, species.rest_speed, species.antenna_length * math.cos(angle),
+        species.antenna_length * math.sin(angle), math.exp(-dt / species.odour_decay),
+        species.odour_baseline, math.exp(-dt / species.trace_decay), species.flow_threshold,
+        species.flow_limit, scales.locomotion[0].damping, scales.locomotion[0].thrust * scales.dt,
+        scales.own_velocity[0], turning is not None, *own,
+    )  # fmt: skip
+
+
+# -- the body ---------------------------------------------------------------------------------
+
+
+@part
+def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
+    """Point the body at ``angle`` from upwind, its unit vector given; note how far it turned."""
+    body.heading[0, b] = cosine
+    body.heading[1, b] = sine
+    body.turn[b] = turn_between(body.angle[b], angle)
+    body.angle[b] = angle
+
+
+@part
+def face(b, direction, body):  # type: ignore[no-untyped-def]
+    """Point the body in a direction of the arena frame [rad]."""
+    cosine = math.cos(direction)
+    sine = math.sin(direction)
+    _face(b, cosine, sine, math.atan2(-sine, -cosine), body)
+
+
+@part
+def follow(b, velocity_x, velocity_y, rest_speed, body):  # type: ignore[no-untyped-def]
+    """Point the body along the velocity; at rest it stays as it is."""
+    speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
+    body.turn[b] = 0.0
+    if speed > rest_speed:
+        angle = math.atan2(-velocity_y, -velocity_x)
+        _face(b, velocity_x / speed, velocity_y / speed, angle, body)
+
+
+@part
+def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-def]
+    """Turn by the equation of :mod:`animarl_envs.species.turning`."""
+    turn = next_turn(
+        body.turn[b], body.heading[0, b], body.heading[1, b], velocity_x, velocity_y,
+        senses.persistence, senses.gain, senses.slip_cosine, senses.slip_sine,
+        senses.turning_speed,
+    )  # fmt: skip
+    angle = wrapped(body.angle[b] + turn)
+    body.heading[0, b] = -math.cos(angle)
+    body.heading[1, b] = -math.sin(angle)
+    body.angle[b] = angle
+    body.turn[b] = turn
+
+
+@part
+def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
+    """The body after a step: as ``recorded`` in ``frame``, by its own turning, or as it walks."""
+    if not senses.turns:
+        follow(b, velocity_x, velocity_y, senses.rest_speed, body)
+    elif recorded and len(demo_heading) > 0:
+        face(b, demo_heading[frame], body)
+    else:
+        _swing(b, velocity_x, velocity_y, senses, body)
+
+
+@part
+def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
+    """The body at the start of an episode: as recorded; else as it walks, upwind at rest."""
+    known = recorded and len(demo_heading) > 0
+    if known:
+        face(b, demo_heading[frame], body)
+    else:
+        _face(b, -1.0, 0.0, -0.0, body)
+    if not (senses.turns and known):
+        follow(b, velocity_x, velocity_y, senses.rest_speed, body)
+    body.turn[b] = 0.0
+    for side in range(2):
+        body.odour[side, b] = senses.baseline
+        body.trace[side, b] = 0.0
+
+
+# -- the senses -------------------------------------------------------------------------------
+
+
+@part
+def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-untyped-def]
+    """Hits of the left and right antenna."""
+    heading = body.heading
+    front_x = position[0, b] + senses.ahead * heading[0, b]
+    front_y = position[1, b] + senses.ahead * heading[1, b]
+    side_x = -senses.beside * heading[1, b]
+    side_y = senses.beside * heading[0, b]
+    step = step % table.bits.shape[1]
+    left = is_hit(table, pattern, step, front_x + side_x, front_y + side_y)
+    right = is_hit(table, pattern, step, front_x - side_x, front_y - side_y)
+    return left, right
+
+
+@part
+def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-def]
+    """Hits drawn from a fitted odour; the signals tell the last hits, and the trace their age."""
+    trace = max(body.trace[0, b], body.trace[1, b])
+    since = LONGEST
+    if trace > 0.0:
+        since = senses.dt * math.log(trace) / math.log(senses.trace_remains)
+    return draw_hits(
+        position[0, b], position[1, b], body.heading[0, b], body.heading[1, b],
+        body.odour[0, b] == 1.0, body.odour[1, b] == 1.0, since, odour, next_uniform(random, b),
+    )  # fmt: skip
+
+
+@part
+def sense(  # type: ignore[no-untyped-def]
+    b, velocity_x, velocity_y, push_x, push_y, hit_left, hit_right, condition, senses, body, out,
+    column,
+):  # fmt: skip
+    """Update the odour signals and write the observation into ``out[:, column]``.
+
+    ``push_x`` and ``push_y`` led here, in multiples of the thrust; zero in a first frame.
+
+    Arrays of ``body`` have no names of their own here, and the traits are written in a loop, not
+    under a condition: numba would count references to the arrays in every copy, which takes as
+    long as the rest of a step.
+    """
+    base = senses.baseline
+    body.odour[0, b] = 1.0 if hit_left else base + (body.odour[0, b] - base) * senses.remains
+    body.odour[1, b] = 1.0 if hit_right else base + (body.odour[1, b] - base) * senses.remains
+    body.trace[0, b] = 1.0 if hit_left else body.trace[0, b] * senses.trace_remains
+    body.trace[1, b] = 1.0 if hit_right else body.trace[1, b] * senses.trace_remains
+    if out.shape[0] == ODOUR:
+        out[0, column] = 1.0 if hit_left else 0.0
+        out[1, column] = 1.0 if hit_right else 0.0
+    else:
+        out[Seen.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
+        out[Seen.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
+        out[Seen.BODY_ANGLE, column] = body.angle[b]
+        out[Seen.ODOUR_LEFT, column] = body.odour[0, b]
+        out[Seen.ODOUR_RIGHT, column] = body.odour[1, b]
+        _sense_air(b, condition, senses, body, out, column)
+    if out.shape[0] > PAPER:
+        out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
+        out[Seen.HIT_RIGHT, column] = 1.0 if hit_right else 0.0
+    if out.shape[0] > SMALL:
+        _sense_more(b, velocity_x, velocity_y, senses, body, out, column)
+        out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
+        out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
+    for k in range(ALIKE, out.shape[0]):
+        out[k, column] = body.traits[k - ALIKE, b]
+
+
+@part
+def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
+    """Visual flow and the side the wind comes from; nothing of either in condition 1."""
+    for row in range(Seen.FLOW, Seen.WIND_BACK + 1):
+        out[row, column] = 0.0
+    if condition != 0:
+        return
+    flow = -body.turn[b] / senses.dt
+    if abs(flow) < senses.flow_threshold:
+        flow = 0.0
+    out[Seen.FLOW, column] = min(senses.flow_limit, max(-senses.flow_limit, flow))
+    ahead = -body.heading[0, b]  # cosine and sine of the body angle
+    left = -body.heading[1, b]
+    if ahead >= abs(left):
+        out[Seen.WIND_FRONT, column] = 1.0
+    elif -ahead >= abs(left):
+        out[Seen.WIND_BACK, column] = 1.0
+    elif left > 0.0:  # facing left of upwind, the air comes from the right
+        out[Seen.WIND_RIGHT, column] = 1.0
+    else:
+        out[Seen.WIND_LEFT, column] = 1.0
+
+
+@part
+def _sense_more(b, velocity_x, velocity_y, senses, body, out, column):  # type: ignore[no-untyped-def]
+    """The same things said so that a network can use them, and a longer memory of hits."""
+    out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
+    out[Seen.ODOUR_SUM, column] = body.odour[0, b] + body.odour[1, b]
+    out[Seen.TRACE_LEFT, column] = body.trace[0, b]
+    out[Seen.TRACE_RIGHT, column] = body.trace[1, b]
+    out[Seen.ANGLE_COSINE, column] = -body.heading[0, b]
+    out[Seen.ANGLE_SINE, column] = -body.heading[1, b]
+    ahead = -velocity_x / senses.stride
+    left = -velocity_y / senses.stride
+    out[Seen.FINE_AHEAD, column] = math.tanh(ahead)
+    out[Seen.FINE_LEFT, column] = math.tanh(left)
+    out[Seen.COARSE_AHEAD, column] = math.tanh(ahead / 3.0)
+    out[Seen.COARSE_LEFT, column] = math.tanh(left / 3.0)
+    out[Seen.LOG_SPEED, column] = math.log(math.sqrt(ahead * ahead + left * left) + REST)
+    out[Seen.YAW_RATE, column] = body.turn[b] / senses.dt
+
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
 

@@ -1,7 +1,7 @@
 """What a searcher observes: the one table from which kernel, spaces and pages are made.
 
 :class:`Seen` is the order, :func:`observation_components` says what each entry means, and
-:func:`animarl_envs.worlds.search.senses.sense` writes them. The first ``PAPER`` entries are the
+:func:`animarl_envs.worlds.search.kernels.sense` writes them. The first ``PAPER`` entries are the
 paper's, where ``observation="paper"`` stops; ``"compact"`` holds the hits themselves beside them,
 ``"full"`` all, and ``"odour"`` the hits alone. The position is not among them.
 """

@@ -26,8 +26,8 @@ from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table, odour_weights
 from animarl_envs.worlds.search import kernels as kernels
+from animarl_envs.worlds.search.kernels import Body, senses_of
 from animarl_envs.worlds.search.layout import observation_components as observation_components
-from animarl_envs.worlds.search.senses import Body, senses_of
 
 HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
 

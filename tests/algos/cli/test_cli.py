@@ -28,8 +28,8 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner import pretraining
 from animarl_algos.learner.callbacks import ProgressBar, with_progress_bar
 from animarl_algos.learner.checkpoint import steps_done
-from animarl_algos.runs.folds import joined_rollouts, number_of_folds, trained_folds
 from animarl_algos.runs.run import Run
+from animarl_algos.runs.run_set import joined_rollouts, number_of_folds, trained_folds
 from animarl_envs.compiling import COMPILING, CompilationWarning, FirstCompilation
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged

@@ -22,7 +22,7 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.files import parse_yaml, read_npz, read_yaml
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import available_readers, read, read_tracks
-from animarl_envs.importing.readers.authors import load_plain
+from animarl_envs.importing.readers.arrays import load_plain
 from tools.fuzz.layouts import (
     write_analysis,
     write_dlc_csv,

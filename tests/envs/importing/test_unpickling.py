@@ -12,7 +12,7 @@ from refusals import refuses
 
 from animarl_envs.files import load_npy
 from animarl_envs.importing.readers import read
-from animarl_envs.importing.readers.authors import load_plain
+from animarl_envs.importing.readers.arrays import load_plain
 from tools.fuzz.workers import fuzz
 
 DTYPE = b"cnumpy\ndtype\n"

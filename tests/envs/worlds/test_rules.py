@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.locomotion import Locomotion, apply_actions
-from animarl_envs.worlds.rules import LOOKS, SOFTENING, WALL_WEIGHT, decide, wall_cost
+from animarl_envs.worlds.chase.kernels import LOOKS, SOFTENING, WALL_WEIGHT, decide, wall_cost
 
 DT = 0.1
 OWN = Locomotion(0.2, 3.0, (1.0, 0.4))
