@@ -106,15 +106,10 @@ def dtw_alignment(x: NDArray[np.floating], y: NDArray[np.floating]) -> tuple[flo
     The distance grows with their number, so that a short path is close to anything; distance over
     pairs is the mean distance of aligned positions.
     """
-    distance, pairs = _aligned(*_paths(x, y))
-    return float(distance), int(pairs)
-
-
-def _paths(*paths: NDArray[np.floating]) -> list[NDArray[np.float64]]:
-    x, y = paths
     if x.ndim != 2 or y.ndim != 2 or x.shape[1] != 2 or y.shape[1] != 2 or not (len(x) and len(y)):
         raise InputError(f"paths have shapes {x.shape} and {y.shape}: give (frames, 2) of each")
-    return [np.ascontiguousarray(path, dtype=np.float64) for path in paths]
+    distance, pairs = _aligned(*(np.ascontiguousarray(path, np.float64) for path in (x, y)))
+    return float(distance), int(pairs)
 
 
 @jit

@@ -26,7 +26,7 @@ from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
 if TYPE_CHECKING:
-    from animarl_algos.runs.run import Run
+    pass
 
 HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
@@ -177,7 +177,12 @@ def prepare(
     is not valid, or the model has no trained policy, or one of another species or of other
     individuals.
     """
-    run = None if model is None else _load_run(model, acting)
+    run = None
+    if model is not None:  # what learns is imported where it acts
+        from animarl_algos.runs.pretrained import model_folder
+        from animarl_algos.runs.run import Run
+
+        run = Run(model_folder(model), acting)
     if env is None:
         assert run is not None
         env = environment_id(run.settings.species)
@@ -226,13 +231,6 @@ def prepare(
     if run is not None and not replayed:
         return world, trained_actor(run.for_all(run.policy))
     return world, programmed_actor(world.scenario, seed) if programmed else idle_actor
-
-
-def _load_run(model: str | Path, acting: str | None) -> Run:
-    from animarl_algos.runs.pretrained import model_folder
-    from animarl_algos.runs.run import Run
-
-    return Run(model_folder(model), acting)
 
 
 def idle_actor(world: World, start: bool) -> NDArray[np.integer]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.splits import learnable
+from animarl_envs.demos.splits import learnable, training_episodes
 from animarl_envs.fitting.custom_species import fitted_locomotion
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.fitting.transitions import step_frames
@@ -72,8 +72,7 @@ def action_miss(demos: Demonstrations) -> tuple[float, int]:
     The miss is the root mean square over the steps of the individual of whom it is largest, in
     units of ``u dt^2``, the way that one thrust makes in a step.
     """
-    trained = (demos.split == "train").any()
-    seen = demos.select(split="train") if trained else demos
+    seen = training_episodes(demos)
     steps, locomotion = len(step_frames(seen)), fitted_locomotion(demos)
     every = 1 + seen.positions[..., 0].size // FRAMES
     some = seen.select(episodes=range(0, seen.num_episodes, every))

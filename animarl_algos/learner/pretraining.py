@@ -173,7 +173,9 @@ class Pretraining:
             losses, _ = update(minibatch, terms, policy.optimizer)
             add_losses(totals, losses)
             if settings.weight_decay:
-                _decay(policy.q_net, rate * settings.weight_decay)
+                with torch.no_grad():
+                    share = rate * settings.weight_decay  # that is taken away of every weight
+                    torch._foreach_mul_(list(policy.q_net.all_parameters), 1.0 - share)
             if self.progress.average_weights is not None:
                 decay = settings.average_decay(done + 1)
                 _follow(self.progress.average_weights, policy.q_net, decay)
@@ -264,12 +266,6 @@ def shown_progress(
 def few_or_count(names: list[str]) -> str:
     """Return the names, or of many how many they are."""
     return ", ".join(names) if len(names) <= FEW else f"{len(names)} individuals"
-
-
-@torch.no_grad()
-def _decay(network: StackedQNetwork, share: float) -> None:
-    """Take ``share`` of every weight away."""
-    torch._foreach_mul_(list(network.all_parameters), 1.0 - share)
 
 
 @torch.no_grad()

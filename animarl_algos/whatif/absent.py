@@ -9,7 +9,7 @@ and the inputs stay near the training range; how near, the warning says.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeGuard
 
@@ -71,14 +71,7 @@ class Present:
     @property
     def species(self) -> ChaseSpecies:
         """The species of those who are left."""
-        whole = self.everybody
-        return replace(
-            whole,
-            individuals=tuple(whole.individuals[i] for i in self.own),
-            locomotion=tuple(whole.locomotion[i] for i in self.own),
-            turning=whole.turning and tuple(whole.turning[i] for i in self.own),
-            sense_scales=whole.sense_scales and whole.sense_scales.select(self.own),
-        )
+        return self.everybody.of_individuals(self.own)
 
 
 def _one_target(species: Species) -> TypeGuard[ChaseSpecies]:

@@ -19,7 +19,7 @@ from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.absent import Present, simulate_from
-from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
+from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
@@ -277,16 +277,11 @@ class _Asker:
             row["finding"] = row["judged"] in (RISES, FALLS)
         import pandas as pd
 
-        return Answer(
-            scenario, pd.DataFrame(rows), warning, reason, thrusts, changed,
-            self._changed_species(scenario, options),
-        )  # fmt: skip
-
-    def _changed_species(self, scenario: Scenario, options: Mapping[str, Any]) -> Species:
         species = change_world(self.species, **options)
         if scenario.removed:
-            return Present.without(species, scenario.removed).species
-        return species
+            species = Present.without(species, scenario.removed).species
+        table = pd.DataFrame(rows)
+        return Answer(scenario, table, warning, reason, thrusts, changed, species)
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world."""
@@ -349,10 +344,12 @@ class _Asker:
 
     def _thrusts(self, scenario: Scenario) -> dict[str, float]:
         """Find by simulation the thrusts at which wanted speeds are achieved."""
-        wanted: dict[str, float] = {}
+        wanted: dict[str, float] = {}  # [arena unit / s]
         usual = _speeds(self.baseline)  # of more rollouts than a try
+        scales = {f"{self.unit.name}/s": 1.0 / self.unit.per_arena_unit}
         for change in scenario.speeds:
-            wanted |= self._wanted(change, usual)
+            assert not isinstance(change.amount, str)
+            wanted |= {n: change.amount.of(usual[n], scales, change.text) for n in change.who}
         factors = dict.fromkeys(wanted, 1.0)
         if not wanted:
             return factors
@@ -376,12 +373,6 @@ class _Asker:
             f"brings {worst} to {wanted[worst] * scale:.3g} {self.unit.name}/s; the last try gave "
             f"{achieved[worst] * scale:.3g}: ask for less, or change its thrust"
         )
-
-    def _wanted(self, change: Change, usual: Mapping[str, float]) -> dict[str, float]:
-        """Speeds that a change asks for [arena unit / s]."""
-        assert not isinstance(change.amount, str)
-        scales = {f"{self.unit.name}/s": 1.0 / self.unit.per_arena_unit}
-        return {name: change.amount.of(usual[name], scales, change.text) for name in change.who}
 
     def _rows(
         self, scenario: Scenario, changed: Rollouts, other: Rollouts | None
@@ -550,10 +541,13 @@ def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
     def paths(rollouts: Rollouts) -> Floats:
         return np.asarray(scale * path_lengths(rollouts)[:, rollouts.movers].mean(axis=1))
 
-    def closest(rollouts: Rollouts) -> Floats:
-        apart = distances_to_target(rollouts.positions, rollouts.roles).min(axis=1)
+    def mean_of(apart: Floats, rollouts: Rollouts) -> Floats:
         starts = rollouts.offsets[:-1]
         return np.asarray(scale * np.add.reduceat(apart, starts) / rollouts.lengths)
+
+    def closest(rollouts: Rollouts) -> Floats:
+        apart = distances_to_target(rollouts.positions, rollouts.roles).min(axis=1)
+        return mean_of(apart, rollouts)
 
     def speed_of(index: int) -> Callable[[Rollouts], Floats]:
         def speed(rollouts: Rollouts) -> Floats:
@@ -564,13 +558,11 @@ def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
 
     def nearest(rollouts: Rollouts) -> Floats:
         apart = np.linalg.norm(nearest_other(rollouts.positions), axis=-1).mean(axis=1)
-        starts = rollouts.offsets[:-1]
-        return np.asarray(scale * np.add.reduceat(apart, starts) / rollouts.lengths)
+        return mean_of(apart, rollouts)
 
     def all_speeds(rollouts: Rollouts) -> Floats:
-        return np.asarray(
-            np.mean([speed_of(i)(rollouts) for i in range(len(of.individuals))], axis=0)
-        )
+        each = [speed_of(i)(rollouts) for i in range(len(of.individuals))]
+        return np.asarray(np.mean(each, axis=0))
 
     if is_free(of.roles):  # nothing is reached, and only the film ends
         yield Quantity("speed", f"{name}/s", all_speeds)

@@ -140,6 +140,7 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
         demos=found.demos, species=found.species, command=command, versions=versions
     )
     names = [answer.scenario.name for answer in found.answers]
+    said = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in found.answers]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     rollouts = f"{found.repetitions} from each start" + f" and of {found.runs} training seeds" * (
         found.runs > 1
@@ -161,7 +162,7 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
             Section("shifts", "Shifts", [_shift_table(found, inputs)]),
             Section("figures", "Figures", [_figures(found)]),
             Section("provenance", "How this was made", list(provenance(inputs, "page"))),
-            Section("paste", "To paste", list(_paste(found, inputs))),
+            Section("paste", "To paste", list(to_paste(inputs, "", [what_it_is(found), *said]))),
         ],
     )
 
@@ -215,11 +216,6 @@ def _row(row: pd.Series) -> Row:
     cells += [with_interval(shift), number(factor * row["gap"]), row["judged"] + p]
     red = row["warning"] == Caution.RED
     return Row(cells, faint=not row["finding"], hatched=red)
-
-
-def _paste(found: WhatIf, inputs: PageInputs) -> Iterator[Block]:
-    said = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in found.answers]
-    return to_paste(inputs, "", [what_it_is(found), *said])
 
 
 # -- figures --------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import html
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,13 @@ MOST_INDIVIDUALS = 60
 MOST_BYTES = 5_000_000
 MOST_STARTS = 60
 PARTS = ("page.html", "page.css", "engine.js", "page.js")
+SPECIES_FIELDS = (
+    "name", "title", "world", "individuals", "roles", "bodies", "dt", "time_limit", "warmup",
+    "contact_radius", "conditions", "condition_is_sensed",
+)  # fmt: skip
+NETWORK_FIELDS = ("sensed", "units", "depth", "recurrent", "skip", "previous_action")
+CHASE_SENSES = ("first", "stride", "damping", "push", "own_velocity")
+PLUME_FIELDS = ("rows", "columns", "source_row", "source_column")
 SYNTHETIC = "These recordings are synthetic: they were generated, not recorded from animals."
 
 
@@ -81,31 +89,17 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         If a page cannot carry the run.
     """
     scenario = run.scenario
-    species = scenario.species
+    species, arena = scenario.species, scenario.species.arena
     _refuse(scenario)
     test = run.demos.select(split="test")
     test = test.select(episodes=np.arange(min(len(test), MOST_STARTS)))
     unit = unit_of(run.demos)
     ranges = InputRange.of(species, run.demos.select(split="train"))
     model: dict[str, Any] = {
-        "name": species.name,
-        "title": species.title,
+        **{name: getattr(species, name) for name in SPECIES_FIELDS},
         "synthetic": run.demos.synthetic,
-        "world": species.world,
-        "individuals": list(species.individuals),
-        "roles": list(species.roles),
-        "bodies": list(species.bodies),
-        "unit": {"name": unit.name, "per_arena_unit": unit.per_arena_unit},
-        "dt": species.dt,
-        "time_limit": species.time_limit,
-        "warmup": species.warmup,
-        "contact_radius": species.contact_radius,
-        "arena": {
-            "shape": species.arena.shape,
-            "size": species.arena.size,
-            "boundary": None if species.arena.shape == "open" else species.arena.boundary,
-            "rebound": species.arena.rebound,
-        },
+        "unit": asdict(unit),
+        "arena": asdict(arena) | ({"boundary": None} if arena.shape == "open" else {}),
         "lone": isinstance(species, ChaseSpecies) and species.lone_pursuer,
         "free": is_free(species.roles),
         "absent": {
@@ -115,8 +109,6 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         }
         if can_remove(species)
         else None,
-        "conditions": list(species.conditions),
-        "condition_is_sensed": species.condition_is_sensed,
         "told": run.told_condition,
         "locomotion": [{"damping": m.damping, "thrust": m.thrust} for m in species.locomotion],
         "pushes": [m.action_vectors.tolist() for m in species.locomotion],
@@ -209,13 +201,8 @@ def _network(run: TrainedRun) -> dict[str, Any]:
     return {
         "layers": layers,
         "size": net.input_mean.shape[-1],
-        "sensed": net.sensed,
-        "units": net.units,
-        "depth": net.depth,
+        **{name: getattr(net, name) for name in NETWORK_FIELDS},
         "actions": net.num_actions,
-        "recurrent": net.recurrent,
-        "skip": net.skip,
-        "previous_action": net.previous_action,
         "flag_in_head": bool(net.flag_in_head),
         "gated": bool(net.gated),
         "head_inputs": first.shape[1],
@@ -276,11 +263,7 @@ def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
     senses = chase_senses.senses_of(species, np.ones(species.num_individuals, dtype=bool))
     return {
         "columns": {seen.name: int(seen) for seen in chase_layout.Seen},
-        "first": senses.first.tolist(),
-        "stride": senses.stride.tolist(),
-        "damping": senses.damping.tolist(),
-        "push": senses.push.tolist(),
-        "own_velocity": senses.own_velocity.tolist(),
+        **{name: getattr(senses, name).tolist() for name in CHASE_SENSES},
         "near": senses.near,
         "scales": list(senses.scales),
         "limit": senses.limit,
@@ -308,10 +291,7 @@ def _plume(species: SearchSpecies) -> dict[str, Any]:
     table = hit_table(as_plume(species.plume), patterns, species.dt, species.antenna_radius * scale)
     return {
         "bits": _packed(table.bits),
-        "rows": table.rows,
-        "columns": table.columns,
-        "source_row": table.source_row,
-        "source_column": table.source_column,
+        **{name: getattr(table, name) for name in PLUME_FIELDS},
         "cell": table.cell / scale,
     }
 

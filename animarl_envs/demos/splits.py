@@ -63,6 +63,11 @@ def learnable(demos: Demonstrations) -> Demonstrations:
     return demos.select(episodes=np.flatnonzero(kept))
 
 
+def training_episodes(demos: Demonstrations) -> Demonstrations:
+    """Return the train episodes; all, if there are none."""
+    return demos.select(split="train") if (demos.split == "train").any() else demos
+
+
 def refuse_empty_splits(demos: Demonstrations) -> None:
     """Refuse demonstrations without at least one training, validation and test episode each.
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.demos.splits import learnable
+from animarl_envs.demos.splits import learnable, training_episodes
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, focus_directions, is_free, lone_pursuer
@@ -160,8 +160,7 @@ def fitted_traits(demos: Demonstrations) -> Traits | None:
 
     Animals of a group stand for each other, so these are the traits of all of them.
     """
-    trained = (demos.split == "train").any()
-    training = demos.select(split="train") if trained else demos
+    training = training_episodes(demos)
     positions, lengths, condition = training.positions, training.lengths, training.condition
     if demos.is_group:
         alike = demos.num_individuals
@@ -177,7 +176,7 @@ def takes_sides(demos: Demonstrations) -> bool:
     errors over training recordings away from none. Artificial agents often are: they learned one
     of two equally good ways. Fewer than ``FEWEST`` recordings cannot say so.
     """
-    training = demos.select(split="train") if (demos.split == "train").any() else demos
+    training = training_episodes(demos)
     step = np.diff(training.positions, axis=0)
     length = np.linalg.norm(step, axis=-1)
     course = step / np.where(length > 0, length, np.inf)[..., None]
@@ -207,8 +206,7 @@ def _sine(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
 def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:
     key = fit.__name__, demos.fingerprint() + demos.focus_rule, number
     if key not in _FITS:
-        trained = (demos.split == "train").any()
-        _FITS[key] = fit(demos.select(split="train") if trained else demos, number)
+        _FITS[key] = fit(training_episodes(demos), number)
     return _FITS[key]
 
 

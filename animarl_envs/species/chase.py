@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -53,6 +54,19 @@ class ChaseSpecies(Species):
         if self.free and self.lone_pursuer:
             raise InputError("free animals have no pursuer: leave lone_pursuer out")
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
+
+    def of_individuals(
+        self, chosen: Sequence[int], names: tuple[str, ...] = (), **changes: Any
+    ) -> ChaseSpecies:
+        """Return the species of these individuals, in this order, maybe under other ``names``."""
+        return replace(
+            self,
+            individuals=names or tuple(self.individuals[i] for i in chosen),
+            locomotion=tuple(self.locomotion[i] for i in chosen),
+            turning=self.turning and tuple(self.turning[i] for i in chosen),
+            sense_scales=self.sense_scales and self.sense_scales.select(chosen),
+            **changes,
+        )
 
     def check_uniform_starts(self) -> None:
         """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""

@@ -96,7 +96,7 @@ def _with_animals(
         same = number == species.num_individuals
         names = species.individuals if same else tuple(f"{kind}_{i}" for i in range(number))
     chosen = [i % species.num_individuals for i in range(len(names))]
-    return _select(species, chosen, tuple(names), free=True)
+    return species.of_individuals(chosen, tuple(names), free=True)
 
 
 def _with_individuals(
@@ -141,7 +141,7 @@ def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
     """Return the species with ``count`` targets and one pursuer, the first, who comes last."""
     if not species.lone_pursuer:
         names = (f"{species.individuals[-1]}_0", species.individuals[0])
-        species = _select(species, (-1, 0), names, lone_pursuer=True)
+        species = species.of_individuals((-1, 0), names, lone_pursuer=True)
     return _with_many(species, count)
 
 
@@ -150,20 +150,7 @@ def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
     kind = species.individuals[0].rpartition("_")[0] or species.roles[0]
     last = species.num_individuals - 1
     names = (*(f"{kind}_{i}" for i in range(count)), species.individuals[last])
-    return _select(species, [*(i % last for i in range(count)), last], names)
-
-
-def _select(
-    species: ChaseSpecies, chosen: Sequence[int], names: tuple[str, ...], **changes: Any
-) -> ChaseSpecies:
-    return replace(
-        species,
-        individuals=names,
-        locomotion=tuple(species.locomotion[i] for i in chosen),
-        turning=species.turning and tuple(species.turning[i] for i in chosen),
-        sense_scales=species.sense_scales and species.sense_scales.select(chosen),
-        **changes,
-    )
+    return species.of_individuals([*(i % last for i in range(count)), last], names)
 
 
 def _arena(arena: Arena, options: dict[str, Any]) -> Arena:

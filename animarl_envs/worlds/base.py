@@ -162,18 +162,14 @@ class World(ABC):
     def _shared_state(self) -> dict[str, Any]:
         """What the kernels of every world are told, by the names of their states."""
         species = self.scenario.species
+        own = ("demo", "terminated", "truncated", "outcome", "step_count", "warming")
         return {
             "demos": self._demos,
-            "demo": self.demo,
             "contact_radius": species.contact_radius,
             "time_limit": species.time_limit,
             "warmup": self._warmup,
             "random": self.random_state,
-            "terminated": self.terminated,
-            "truncated": self.truncated,
-            "outcome": self.outcome,
-            "step_count": self.step_count,
-            "warming": self.warming,
+            **{name: getattr(self, name) for name in own},
         }
 
     @property
@@ -181,8 +177,8 @@ class World(ABC):
         return self.scenario.demos
 
     def seed(self, seeds: ArrayLike) -> None:
-        """Start the random stream of copy ``b`` from ``seeds[b]``."""
-        seed_streams(seeds, self.random_state)
+        """Start the random stream of copy ``b`` from ``seeds[b]`` (any non-negative integers)."""
+        seed_streams(np.asarray(seeds, dtype=np.uint64), self.random_state)
 
     def reset(
         self, mask: NDArray[np.bool_] | None = None, demo: NDArray[np.int64] | None = None

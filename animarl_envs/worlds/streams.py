@@ -13,7 +13,6 @@ import math
 
 import numba as nb
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from animarl_envs.compiling import jit
 
@@ -59,14 +58,10 @@ def next_normal(state, b):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _scramble(seeds, state):  # type: ignore[no-untyped-def]
+def seed_streams(seeds, state):  # type: ignore[no-untyped-def]
+    """Start stream ``b`` of ``state`` from ``seeds[b]``, both uint64."""
     for b in range(len(seeds)):
         state[b] = mix(seeds[b] + _GOLDEN)
-
-
-def seed_streams(seeds: ArrayLike, state: NDArray[np.uint64]) -> None:
-    """Start stream ``b`` of ``state`` from ``seeds[b]`` (any non-negative integers)."""
-    _scramble(np.asarray(seeds, dtype=np.uint64), state)
 
 
 _MOST = 9.0  # tanh beyond it is 1 in float32
