@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,6 @@ from animarl_envs.scenario import PACKAGED, Scenario, make_scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
-
-if TYPE_CHECKING:
-    pass
 
 HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world

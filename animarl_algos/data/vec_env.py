@@ -27,7 +27,6 @@ from animarl_envs.scenario import Demos, make_scenario, refuse_other_species
 from animarl_envs.species import Species, resolve_variant
 from animarl_envs.views.common import check_actions, observation_space
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.base import World
 from animarl_envs.wrappers import Cue, check_cue, cue_of, with_flag
 
 SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
@@ -118,7 +117,9 @@ class SlotVecEnv(VecEnv):
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
         self.world = make_world(self.scenario, num_copies)
-        self.num_copies, self.observed = num_copies, observed_components(self.world)
+        components = self.world.observation_components
+        self.observed = (full.species.name, *(one.name for one in components))
+        self.num_copies = num_copies
         self.condition_flag, self.cue = condition_flag, cue
         self.max_episode_steps = full.species.time_limit
         space = observation_space(self.world)
@@ -222,7 +223,11 @@ class SlotVecEnv(VecEnv):
 
     @property
     def feedback(self) -> tuple[str, ...]:
-        """Names of what comes with a step beside the reward; see :func:`.slots.provided`."""
+        """Names of what comes with a step beside the reward.
+
+        ``dtw_penalty`` is the distance to a demonstration, ``aligned_action`` the demonstrated
+        action aligned with each state.
+        """
         if self._tracker is None:
             return ("task_reward",)
         return ("task_reward", "dtw_penalty", "aligned_action")
@@ -268,7 +273,14 @@ class SlotVecEnv(VecEnv):
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
         if issubclass(wrapper_class, Monitor) and len(self.individuals) > 1:
-            warn_of_mixed_means(self.individuals)
+            # stable-baselines3's evaluation is the only caller that asks for a Monitor.
+            warnings.warn(
+                "evaluate_policy, EvalCallback and VecMonitor average over "
+                f"{', '.join(self.individuals)}: use animarl_algos.evaluate_individuals and "
+                "EvaluateIndividuals for each by itself",
+                MixedMeansWarning,
+                stacklevel=3,
+            )
         return [False] * len(list(self._get_indices(indices)))
 
 
@@ -279,11 +291,6 @@ def refuse_other_actions(learned: int, here: int) -> None:
             f"Action spaces do not match, {learned} actions learned and {here} here: give the "
             "environment it was trained in, of animals with the same thrust magnitudes"
         )
-
-
-def observed_components(world: World) -> tuple[str, ...]:
-    """Return the species of ``world``, then the names of the observed components in order."""
-    return (world.scenario.species.name, *(one.name for one in world.observation_components))
 
 
 def refuse_other_observation(learned: tuple[str, ...], here: tuple[str, ...]) -> None:
@@ -315,7 +322,7 @@ class SlotLayout:
     num_copies: int
     individuals: tuple[str, ...]  # the K names
     condition_flag: bool  # the last observation component is the experimental condition
-    observed: tuple[str, ...] = ()  # as observed_components has it; empty where nobody says
+    observed: tuple[str, ...] = ()  # the species, then the names of components, if anybody says
 
     @property
     def num_individuals(self) -> int:
@@ -337,7 +344,7 @@ class SlotLayout:
             )
         observed = getattr(env, "observed", ())
         known = observed if isinstance(observed, tuple) else ()  # another's word for something else
-        return cls(num_copies, individuals, bool(_declared(env, "condition_flag")), known)
+        return cls(num_copies, individuals, bool(declared(env, "condition_flag")), known)
 
 
 def demonstrations_in(env: VecEnv, demos: Demonstrations, layout: SlotLayout) -> Any:
@@ -348,7 +355,7 @@ def demonstrations_in(env: VecEnv, demos: Demonstrations, layout: SlotLayout) ->
     InputError
         If they are of other animals or another time step, or ``env`` is of another package.
     """
-    scenario, focal = _declared(env, "scenario"), _declared(env, "focal_index")
+    scenario, focal = declared(env, "scenario"), declared(env, "focal_index")
     if scenario is None:
         raise InputError(
             f"{demos.name}: the environment is none of AnimaRL's, which demonstrations of animals "
@@ -377,19 +384,12 @@ def _described(layout: SlotLayout) -> str:
     return f"the individuals {', '.join(layout.individuals)} and {flag} condition flag"
 
 
-def provided(env: VecEnv) -> tuple[str, ...]:
-    """Return what comes with each step beside the reward, as the environment's ``feedback`` says.
-
-    ``dtw_penalty`` is the distance to a demonstration, ``aligned_action`` the demonstrated action
-    aligned with each state.
-    """
-    return tuple(_declared(env, "feedback") or ())
-
-
-def _declared(env: VecEnv, name: str) -> Any:
-    """An attribute of the VecEnv or of its environments, None if neither has it."""
-    if hasattr(env, name):
-        return getattr(env, name)
+def declared(env: Any, name: str) -> Any:
+    """An attribute of an environment, of a VecEnv or of its environments, None if none has it."""
+    if isinstance(env, gym.Env):
+        return env.get_wrapper_attr(name) if env.has_wrapper_attr(name) else None
+    if not isinstance(env, VecEnv) or hasattr(env, name):
+        return getattr(env, name, None)
     return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
 
 
@@ -426,19 +426,6 @@ class Feedback:
 
 class MixedMeansWarning(UserWarning):
     """Returns of different individuals are about to be averaged."""
-
-
-def warn_of_mixed_means(individuals: Sequence[str]) -> None:
-    """Warn that stable-baselines3 is about to average over the individuals.
-
-    Its evaluation is the only caller that asks a VecEnv whether it is wrapped in a ``Monitor``.
-    """
-    warnings.warn(
-        f"evaluate_policy, EvalCallback and VecMonitor average over {', '.join(individuals)}: use "
-        "animarl_algos.evaluate_individuals and EvaluateIndividuals for each by itself",
-        MixedMeansWarning,
-        stacklevel=4,
-    )
 
 
 def focal_drivers(names: tuple[str, ...], focal: str | None) -> dict[str, str]:

@@ -78,12 +78,6 @@ COUNTERS = (
 """Attributes that a checkpoint holds as they are."""
 
 
-def is_ours(name: str) -> bool:
-    """Whether an id or a name is one of this package's, not another's registered with Gymnasium."""
-    species = species_name(str(resolve_variant(name, {})[0]))
-    return "AnimaRL/" in name or (name not in gym.registry and species in (*SPECIES, CUSTOM))
-
-
 class BaseLearner(OffPolicyAlgorithm):
     """Settings, policy, replay memory and state of a learner of K independent individuals.
 
@@ -178,13 +172,15 @@ class BaseLearner(OffPolicyAlgorithm):
             del given["offline_epochs"]
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
-        if isinstance(env, str) and is_ours(env):
+        if isinstance(env, str):
             name, options = resolve_variant(env, {})
-            preset = learner_preset(self.preset, environment_id(str(name)))
-            if isinstance(demonstrations, Demonstrations):
-                options["demos"], demonstrations = demonstrations, None
-            options |= preset.env_kwargs
-            env = SlotVecEnv(name, preset.n_envs, condition_flag=None, **options)
+            known = env not in gym.registry and species_name(str(name)) in (*SPECIES, CUSTOM)
+            if "AnimaRL/" in env or known:  # none of another package's
+                preset = learner_preset(self.preset, environment_id(str(name)))
+                if isinstance(demonstrations, Demonstrations):
+                    options["demos"], demonstrations = demonstrations, None
+                options |= preset.env_kwargs
+                env = SlotVecEnv(name, preset.n_envs, condition_flag=None, **options)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
         policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):

@@ -11,7 +11,7 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from animarl_algos.data.vec_env import SlotLayout, provided
+from animarl_algos.data.vec_env import SlotLayout, declared
 from animarl_algos.learner.collecting import Exploration
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import Recipe, ScoredActionsTemporalDifference
@@ -81,7 +81,7 @@ def check_observation(space: gym.Space[Any]) -> None:
 
 def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) -> None:
     """Refuse an environment that does not give what a recipe learns from."""
-    given = provided(env)
+    given = declared(env, "feedback") or ()
     for needed, name, words in (
         (recipe.needs_distance, "dtw_penalty", "the distance to a demonstration"),
         (recipe.needs_alignment, "aligned_action", "aligned demonstrated actions"),

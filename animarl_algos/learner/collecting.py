@@ -63,7 +63,8 @@ class Collector:
             shape = (layout.num_copies, layout.num_individuals, *np.shape(values)[1:])
             return None if values is None else np.reshape(values, shape)
 
-        given = {name: by_copy(feedback.get(name)) for name in FED_BACK}
+        names = ("task_reward", "dtw_penalty", "aligned_action", "warmup", "condition")
+        given = {name: by_copy(feedback.get(name)) for name in names}
         for name, needed in (
             ("dtw_penalty", recipe.needs_distance),
             ("aligned_action", recipe.needs_alignment),
@@ -100,8 +101,6 @@ class Collector:
         hidden[dones], previous[dones] = 0.0, policy.num_actions
         return actions, new, rewards, dones, infos, (hidden, previous)
 
-
-FED_BACK = ("task_reward", "dtw_penalty", "aligned_action", "warmup", "condition")
 
 # -- exploration ----------------------------------------------------------------------------------
 

@@ -20,10 +20,8 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-from stable_baselines3.common.vec_env import VecEnv
-
 from animarl_algos.checked import Checked
+from animarl_algos.data.vec_env import declared
 from animarl_algos.learner.settings import (
     RUN_KEYS,
     LearnerFile,
@@ -135,18 +133,10 @@ def section_of(env: Any) -> str:
     """
     if isinstance(env, str):
         return env
-    scenario, spec = (_attribute_of(env, name) for name in ("scenario", "spec"))
+    scenario, spec = (declared(env, name) for name in ("scenario", "spec"))
     if isinstance(scenario, Scenario):
         return environment_id(scenario.species.name)
     return COMMON_SECTION if spec is None else str(spec.id)
-
-
-def _attribute_of(env: Any, name: str) -> Any:
-    if isinstance(env, gym.Env):
-        return env.get_wrapper_attr(name) if env.has_wrapper_attr(name) else None
-    if not isinstance(env, VecEnv) or hasattr(env, name):
-        return getattr(env, name, None)
-    return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
 
 
 def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:

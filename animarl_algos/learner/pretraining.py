@@ -177,7 +177,7 @@ class Pretraining:
                     share = rate * settings.weight_decay  # that is taken away of every weight
                     torch._foreach_mul_(list(policy.q_net.all_parameters), 1.0 - share)
             if self.progress.average_weights is not None:
-                decay = settings.average_decay(done + 1)
+                decay = min(settings.average, (2 + done) / (11 + done))
                 _follow(self.progress.average_weights, policy.q_net, decay)
         row: Figures = {}
         for name, total in totals.items():

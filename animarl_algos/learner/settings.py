@@ -248,10 +248,6 @@ class OfflineSettings(Checked):
             factor *= 0.5 * (1.0 + math.cos(math.pi * update / updates))
         return factor
 
-    def average_decay(self, updates: int) -> float:
-        """Return the decay of the moving average after so many updates."""
-        return min(self.average, (1 + updates) / (10 + updates))
-
 
 _RATE = "Of Adam, online: a number, lin_<number> (linear to 0), or a schedule of what remains."
 

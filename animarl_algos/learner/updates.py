@@ -121,7 +121,8 @@ def minibatch_values(
         observations, previous = observations[:, :-1], previous[:, :-1]
     masks = None
     if dropout is not None:
-        masks = dropout.masks(online.hidden_layers, batch.batch_size, online.units)
+        layers = online.depth + online.recurrent
+        masks = dropout.masks(layers, batch.batch_size, online.units)
         masks = None if masks is None else masks.to(observations.device)
     output, target_output = online(observations, previous, online_state, packing, masks), None
     if needs_target:

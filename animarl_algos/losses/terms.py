@@ -84,12 +84,6 @@ class MinibatchValues:
         q_values: torch.Tensor = self.online.q_values[:, : self.batch.num_steps]
         return q_values
 
-    def taken_values(self) -> torch.Tensor:
-        """``(K, T, B, Q)``, the online network's values of the actions taken."""
-        with_last = functional.pad(self.batch.actions, (0, 0, 0, 1))  # none is taken there
-        taken: torch.Tensor = self.online.of_actions(with_last)[:, :-1]
-        return taken
-
     def double_q_target(self, rewards: torch.Tensor) -> torch.Tensor:
         """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``, without gradient.
 
@@ -157,7 +151,8 @@ class TemporalDifference(LossTerm):
             rewards = rewards - minibatch.phase.alpha * batch.penalties
         target = minibatch.double_q_target(rewards)
         td_loss = minibatch.distribution.td_loss
-        loss, minibatch.errors = td_loss(minibatch.taken_values(), target)
+        with_last = functional.pad(minibatch.batch.actions, (0, 0, 0, 1))  # none is taken there
+        loss, minibatch.errors = td_loss(minibatch.online.of_actions(with_last)[:, :-1], target)
         return masked_mean(loss, minibatch.valid, batch.weights)
 
 

@@ -270,11 +270,6 @@ class StackedQNetwork(nn.Module):
         self.input_sd.copy_(sd.unsqueeze(1))
         self.input_limit.fill_(limit)
 
-    def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
-        """Packed observations (K, row, n) in units of their training spread."""
-        limit = self.input_limit
-        return torch.clamp((observations - self.input_mean) / self.input_sd, -limit, limit)
-
     def _encode(
         self,
         observations: torch.Tensor,
@@ -315,7 +310,8 @@ class StackedQNetwork(nn.Module):
             packing = Packing.full(time, batch, observations.device)
         if state is None:
             state = self.initial_state(batch)
-        observed = self._standardised(packing.pack(observations))
+        observed, limit = packing.pack(observations), self.input_limit
+        observed = torch.clamp((observed - self.input_mean) / self.input_sd, -limit, limit)
         previous = packing.pack(previous_actions)
         known, head = None, None
         features = seen = self._encode(observed, previous, packing, masks)
@@ -338,11 +334,6 @@ class StackedQNetwork(nn.Module):
         return QOutput(
             *(features, state, packing, self.recurrent, self.num_actions, logits, known, head)
         )
-
-    @property
-    def hidden_layers(self) -> int:
-        """Layers that dropout thins."""
-        return self.depth + self.recurrent
 
     @cached_property
     def weights(self) -> WeightViews:

@@ -128,14 +128,9 @@ class SumTrees:
 
     def __init__(self, num_trees: int, capacity: int) -> None:
         self.capacity = capacity
-        self.nodes: NDArray[np.float64] = np.zeros(
-            (num_trees, self.num_nodes(capacity)), dtype=np.float64
-        )
-
-    @staticmethod
-    def num_nodes(capacity: int) -> int:
-        """Nodes of one tree: twice the next power of two; none for an empty one."""
-        return 2 * max(2, 1 << (capacity - 1).bit_length()) if capacity else 0
+        # Of one tree twice the next power of two, and none of an empty one.
+        nodes = 2 * max(2, 1 << (capacity - 1).bit_length()) if capacity else 0
+        self.nodes: NDArray[np.float64] = np.zeros((num_trees, nodes), dtype=np.float64)
 
     @property
     def priorities(self) -> NDArray[np.float64]:

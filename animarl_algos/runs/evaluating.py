@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,14 +25,8 @@ from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
+from animarl_algos.runs import run_set
 from animarl_algos.runs.run import Run, method_name
-from animarl_algos.runs.run_set import (
-    RunSet,
-    all_tested,
-    joined_rollouts,
-    joined_tracking,
-    trained_folds,
-)
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
@@ -115,8 +109,8 @@ def evaluate_rollouts(
     test: Demonstrations | None = demos
     others: Demonstrations | None = known
     if folds:
-        test, others = all_tested(known), None
-        floor = joined_tracking(folds)
+        test, others = run_set.all_tested(known), None
+        floor = run_set.joined_tracking(folds)
     else:
         if test is None:
             test = known.select(split="test")
@@ -140,15 +134,6 @@ def lacking(run: Run) -> list[str]:
         for algo in run.settings.compared
         if not run.has_policy(algo)
     ]
-
-
-def run_warnings(run: Run) -> list[str]:
-    """Return what is doubtful of the fit, of the clones and of how the policy acts.
-
-    The terminal says the same while a run is made.
-    """
-    found = doubts(run.fit, run.learnable_demos)
-    return [*found, *uninformative_clones(run), *far_acting_rules(run)]
 
 
 def uninformative_clones(run: Run) -> list[str]:
@@ -201,7 +186,7 @@ def far_acting_rules(run: Run) -> list[str]:
 class EvaluatedRuns:
     """An evaluation of many runs, what it was made from, and what the runs lack, in sentences."""
 
-    runs: RunSet
+    runs: run_set.RunSet
     test: Demonstrations
     rollouts: dict[str, Rollouts]
     evaluation: Evaluation
@@ -231,17 +216,17 @@ def compare_runs(
         If a folder is no run or has no rollouts, the runs differ in what is compared, or ``demos``
         are of other individuals, another time step or another arena.
     """
-    runs = RunSet.open(folders)
+    runs = run_set.RunSet.open(folders)
     new = None if demos is None else _new_recordings(runs, demos)
-    folds = [trained_folds(run) for run in runs.runs] if new is None else [()]
+    folds = [run_set.trained_folds(run) for run in runs.runs] if new is None else [()]
     crossed = {len(some) for some in folds} == {len(folds[0])} != {0}
     test = runs.demos.select(split="test") if new is None else new
     if crossed:
-        test = all_tested(runs.demos)
+        test = run_set.all_tested(runs.demos)
 
     def rollouts_of(run: Run) -> dict[str, Rollouts]:
         if crossed:
-            return joined_rollouts(trained_folds(run))
+            return run_set.joined_rollouts(run_set.trained_folds(run))
         if new is None:
             return _stored_rollouts(run, runs)
         own, scenario = method_name(run.settings.algo), run.starting_from("test", demos=new)
@@ -260,7 +245,7 @@ def compare_runs(
     return EvaluatedRuns(runs, test, rollouts, evaluation, lacks, len(folds[0]) if crossed else 0)
 
 
-def _new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
+def _new_recordings(runs: run_set.RunSet, demos: Demonstrations) -> Demonstrations:
     """Return recordings to judge runs on, all of them as a test split.
 
     Of the very set that the runs were trained on, only the test split is new.
@@ -280,10 +265,10 @@ def _new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
                 f"--demos {demos.name}: its {what} ({here}) differs from that of the runs "
                 f"({there}): give recordings of the same animals, imported in the same way"
             )
-    return replace(demos, split=np.full(demos.num_episodes, "test"))
+    return run_set.all_tested(demos)
 
 
-def _stored_rollouts(run: Run, runs: RunSet) -> dict[str, Rollouts]:
+def _stored_rollouts(run: Run, runs: run_set.RunSet) -> dict[str, Rollouts]:
     found, tests = run.rollouts(), int((runs.demos.split == "test").sum())
     for rollouts in found.values():
         if rollouts.individuals != runs.demos.individuals or int(rollouts.demo.max()) >= tests:
@@ -294,7 +279,9 @@ def _stored_rollouts(run: Run, runs: RunSet) -> dict[str, Rollouts]:
     return found
 
 
-def _join(runs: RunSet, rollouts_of: Callable[[Run], dict[str, Rollouts]]) -> dict[str, Rollouts]:
+def _join(
+    runs: run_set.RunSet, rollouts_of: Callable[[Run], dict[str, Rollouts]]
+) -> dict[str, Rollouts]:
     """Return all seeds joined by method: those of the runs, then what these compare with.
 
     A method that a run was made for is taken from such runs alone; of what several runs hold to
@@ -309,7 +296,7 @@ def _join(runs: RunSet, rollouts_of: Callable[[Run], dict[str, Rollouts]]) -> di
     return {name: Rollouts.concatenate(list(some.values()), name) for name, some in parts.items()}
 
 
-def _absent(runs: RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
+def _absent(runs: run_set.RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
     """Yield what there is nothing of to compare with, each with what adds it."""
     baseline = method_name(BEHAVIOUR_CLONING)
     if baseline not in rollouts:
@@ -371,7 +358,7 @@ def evaluate_runs(
 
 
 def report_inputs(
-    runs: RunSet,
+    runs: run_set.RunSet,
     rollouts: dict[str, Rollouts],
     evaluation: Evaluation,
     settings: Mapping[str, Any],
@@ -381,7 +368,10 @@ def report_inputs(
     folds: int = 0,
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
-    demos, known = runs.demos, runs.page_inputs()
+    demos, known, warnings = runs.demos, runs.page_inputs(), []
+    for run in runs.runs:  # the terminal says the same while a run is made
+        warnings += doubts(run.fit, run.learnable_demos)
+        warnings += [*uninformative_clones(run), *far_acting_rules(run)]
     return ReportInputs(
         title=f"{runs.species.title}: {', '.join(runs.methods)}",
         learner=next(iter(runs.methods)),
@@ -394,7 +384,7 @@ def report_inputs(
         created=created,
         folds=folds,
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
-        warnings=tuple(sentence for run in runs.runs for sentence in run_warnings(run)),
+        warnings=tuple(warnings),
         **known,
     )
 

@@ -58,14 +58,50 @@ class Inspected(PageInputs):
 
     @cached_property
     def steps(self) -> pd.DataFrame:
-        """A row per frame, individual and episode."""
-        some = {self.recording.method: self.recording} | dict(self.rollouts)
-        return pd.concat([step_table(one) for one in some.values()], ignore_index=True)
+        """A row per frame, individual and episode: place [arena unit], speed [arena unit / s].
+
+        ``speed`` is that of the step which led to the frame; the first frame has none.
+        """
+        parts = []
+        for some in ({self.recording.method: self.recording} | dict(self.rollouts)).values():
+            for i in range(len(some)):
+                path = some.path(i)
+                speed = np.full(path.shape[:2], np.nan)
+                speed[1:] = np.linalg.norm(np.diff(path, axis=0), axis=-1) / some.dt
+                frames, num = path.shape[:2]
+                step = np.repeat(np.arange(frames), num)
+                columns = {
+                    "method": some.method,
+                    "demo": some.demo[i],
+                    "repetition": some.repetition[i],
+                    "cue": some.cue[i],
+                    "step": step,
+                    "time": step * some.dt,
+                    "individual": np.tile(np.array(some.individuals), frames),
+                    "x": path[..., 0].ravel(),
+                    "y": path[..., 1].ravel(),
+                    "speed": speed.ravel(),
+                    "reason": np.where(step == 0, "no step leads to the first frame", ""),
+                }
+                parts.append(pd.DataFrame(columns))
+        return pd.concat(parts, ignore_index=True)
 
     @cached_property
     def values(self) -> pd.DataFrame:
-        """A row per step and action."""
-        return value_table(self.decisions, self.demos.dt)
+        """A row per step and action: its value, its advantage, whether it was the recorded."""
+        q, (steps, actions) = self.decisions.q, self.decisions.q.shape
+        step, action = (each.ravel() for each in np.indices((steps, actions)))
+        columns = {
+            "individual": self.decisions.individual,
+            "demo": self.decisions.demo,
+            "step": step,
+            "time": step * self.demos.dt,
+            "action": action,
+            "q": q.ravel(),
+            "advantage": (q - q.mean(axis=1, keepdims=True)).ravel(),
+            "demonstrated": action == np.repeat(self.decisions.actions, actions),
+        }
+        return pd.DataFrame(columns)
 
 
 def inspect_episode(folder: str | Path, episode: int) -> Inspected:
@@ -169,52 +205,6 @@ def episode_page(found: Inspected) -> Page:
             Section("provenance", "How this was made", list(provenance(found, "page"))),
         ],
     )
-
-
-def step_table(rollouts: Rollouts) -> pd.DataFrame:
-    """Return a row per frame and individual: place [arena unit] and speed [arena unit / s].
-
-    ``speed`` is that of the step which led to the frame; the first frame has none.
-    """
-    parts = []
-    for i in range(len(rollouts)):
-        path = rollouts.path(i)
-        speed = np.full(path.shape[:2], np.nan)
-        speed[1:] = np.linalg.norm(np.diff(path, axis=0), axis=-1) / rollouts.dt
-        frames, num = path.shape[:2]
-        step = np.repeat(np.arange(frames), num)
-        columns = {
-            "method": rollouts.method,
-            "demo": rollouts.demo[i],
-            "repetition": rollouts.repetition[i],
-            "cue": rollouts.cue[i],
-            "step": step,
-            "time": step * rollouts.dt,
-            "individual": np.tile(np.array(rollouts.individuals), frames),
-            "x": path[..., 0].ravel(),
-            "y": path[..., 1].ravel(),
-            "speed": speed.ravel(),
-            "reason": np.where(step == 0, "no step leads to the first frame", ""),
-        }
-        parts.append(pd.DataFrame(columns))
-    return pd.concat(parts, ignore_index=True)
-
-
-def value_table(decisions: Decisions, dt: float) -> pd.DataFrame:
-    """Return a row per step and action: its value, its advantage, whether it was the recorded."""
-    steps, actions = decisions.q.shape
-    step, action = (each.ravel() for each in np.indices((steps, actions)))
-    columns = {
-        "individual": decisions.individual,
-        "demo": decisions.demo,
-        "step": step,
-        "time": step * dt,
-        "action": action,
-        "q": decisions.q.ravel(),
-        "advantage": (decisions.q - decisions.q.mean(axis=1, keepdims=True)).ravel(),
-        "demonstrated": action == np.repeat(decisions.actions, actions),
-    }
-    return pd.DataFrame(columns)
 
 
 @dataclass(frozen=True, eq=False)

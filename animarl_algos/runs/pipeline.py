@@ -32,15 +32,9 @@ from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
+from animarl_algos.runs import run_set
 from animarl_algos.runs.evaluating import evaluate_rollouts, report_inputs, roll_out
 from animarl_algos.runs.run import Run, method_name
-from animarl_algos.runs.run_set import (
-    RunSet,
-    all_tested,
-    begin_folds,
-    joined_rollouts,
-    trained_folds,
-)
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -175,7 +169,7 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
 def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
     """Train the learners of a run anew for every fold, without its test recordings."""
     with run.lock():
-        for number, fold in enumerate(begin_folds(run, folds), 1):
+        for number, fold in enumerate(run_set.begin_folds(run, folds), 1):
             with run.timed(f"fold {number} of {folds}"):
                 learn_all(fold, progress_bar=progress_bar)
 
@@ -187,11 +181,11 @@ def evaluate_run(run: Run) -> Evaluation:
     """
     with run.lock(), run.timed("evaluation"):
         learner, seed = method_name(run.settings.algo), run.settings.seed
-        rollouts, folds = roll_out(run), trained_folds(run)
+        rollouts, folds = roll_out(run), run_set.trained_folds(run)
         for fold in folds:
             roll_out(fold)
         if folds:
-            rollouts = joined_rollouts(folds)
+            rollouts = run_set.joined_rollouts(folds)
         evaluation = evaluate_rollouts(run, rollouts, learner=learner, seed=seed, folds=folds)
         evaluation.save(run.path / "evaluation")
     return evaluation
@@ -200,16 +194,16 @@ def evaluate_run(run: Run) -> Evaluation:
 def report(run: Run) -> Path:
     """Stage 5: the page to show."""
     with run.lock():
-        record, folds = run.record, trained_folds(run)
+        record, folds = run.record, run_set.trained_folds(run)
         inputs = report_inputs(
-            RunSet({method_name(run.settings.algo): (run,)}),
-            joined_rollouts(folds) if folds else run.rollouts(),
+            run_set.RunSet({method_name(run.settings.algo): (run,)}),
+            run_set.joined_rollouts(folds) if folds else run.rollouts(),
             Evaluation.load(run.path / "evaluation"),
             {"run": record["settings"], "learner": record["learner"]}
             | {"reason": record.get("reasons", {})},
             record["command"],
             datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            all_tested(run.demos) if folds else None,
+            run_set.all_tested(run.demos) if folds else None,
             len(folds),
         )
         return write_report(inputs, run.path / PAGE_FILE)

@@ -11,30 +11,8 @@ import numpy as np
 from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.report import style
+from animarl_algos.report import page, player, style
 from animarl_algos.report.inputs import PageInputs
-from animarl_algos.report.page import (
-    Block,
-    Gallery,
-    Group,
-    Lead,
-    Page,
-    Row,
-    Section,
-    Sentences,
-    Table,
-    Text,
-)
-from animarl_algos.report.player import (
-    STARTS,
-    Player,
-    Scene,
-    at_ranks,
-    middles,
-    play,
-    track,
-    view,
-)
 from animarl_algos.report.provenance import provenance, to_paste
 from animarl_algos.report.style import figure_style, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
@@ -134,7 +112,7 @@ def findings(answer: Answer) -> list[str]:
 # -- the page -------------------------------------------------------------------------------------
 
 
-def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = {}) -> Page:
+def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = {}) -> page.Page:
     """Return the page: findings and warnings, the player, shifts, figures, words to paste."""
     inputs = PageInputs(
         demos=found.demos, species=found.species, command=command, versions=versions
@@ -145,7 +123,7 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
     rollouts = f"{found.repetitions} from each start" + f" and of {found.runs} training seeds" * (
         found.runs > 1
     )
-    return Page(
+    return page.Page(
         title=f"{names[0]}{more}",
         kind="What if?",
         synthetic=found.demos.synthetic,
@@ -158,16 +136,18 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
         lead=_lead(found),
         player=_player(found, inputs),
         sections=[
-            Section("short", "In short", list(_in_short(found))),
-            Section("shifts", "Shifts", [_shift_table(found, inputs)]),
-            Section("figures", "Figures", [_figures(found)]),
-            Section("provenance", "How this was made", list(provenance(inputs, "page"))),
-            Section("paste", "To paste", list(to_paste(inputs, "", [what_it_is(found), *said]))),
+            page.Section("short", "In short", list(_in_short(found))),
+            page.Section("shifts", "Shifts", [_shift_table(found, inputs)]),
+            page.Section("figures", "Figures", [_figures(found)]),
+            page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
+            page.Section(
+                "paste", "To paste", list(to_paste(inputs, "", [what_it_is(found), *said]))
+            ),
         ],
     )
 
 
-def _lead(found: WhatIf) -> Lead:
+def _lead(found: WhatIf) -> page.Lead:
     warnings = [answer.warning for answer in found.answers]
     worst = next(one for one in (Caution.RED, Caution.SOME, Caution.NONE) if one in warnings)
     first, *others = found.answers
@@ -181,24 +161,24 @@ def _lead(found: WhatIf) -> Lead:
         )
     cautions = [f"{a.scenario.name}: {a.reason}." for a in found.answers if a.reason]
     judgement = "the same behaviour in another world"
-    return Lead(judgement, *SIGNS[worst], headline, [*said, what_it_is(found)], cautions)
+    return page.Lead(judgement, *SIGNS[worst], headline, [*said, what_it_is(found)], cautions)
 
 
-def _in_short(found: WhatIf) -> Iterator[Block]:
-    yield Sentences(
+def _in_short(found: WhatIf) -> Iterator[page.Block]:
+    yield page.Sentences(
         [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
     )
-    yield Text(WARNINGS)
+    yield page.Text(WARNINGS)
 
 
-def _shift_table(found: WhatIf, inputs: PageInputs) -> Table:
+def _shift_table(found: WhatIf, inputs: PageInputs) -> page.Table:
     columns = ["Quantity", inputs.recorded, UNCHANGED, "changed", "Shift [95 % interval]"]
     columns += [f"Gap: {UNCHANGED}\n{MINUS} {inputs.recorded}", "Shift is"]
-    return Table(
+    return page.Table(
         "Shifts",
         list(map(capitalised, columns)),
         [
-            Group(answer.scenario.name, [_row(row) for _, row in answer.table.iterrows()])
+            page.Group(answer.scenario.name, [_row(row) for _, row in answer.table.iterrows()])
             for answer in found.answers
         ],
         "Means over starts. Grey: no finding, because the shift is not clear of zero, smaller than "
@@ -206,7 +186,7 @@ def _shift_table(found: WhatIf, inputs: PageInputs) -> Table:
     )
 
 
-def _row(row: pd.Series) -> Row:
+def _row(row: pd.Series) -> page.Row:
     percent = row["unit"] == "share"
     cells = [f"{row['quantity']} ({'%' if percent else row['unit']})"]
     factor = 100.0 if percent else 1.0
@@ -215,13 +195,13 @@ def _row(row: pd.Series) -> Row:
     p = f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else ""
     cells += [with_interval(shift), number(factor * row["gap"]), row["judged"] + p]
     red = row["warning"] == Caution.RED
-    return Row(cells, faint=not row["finding"], hatched=red)
+    return page.Row(cells, faint=not row["finding"], hatched=red)
 
 
 # -- figures --------------------------------------------------------------------------------------
 
 
-def _figures(found: WhatIf) -> Gallery:
+def _figures(found: WhatIf) -> page.Gallery:
     images = [to_image(_shift_figure(found.table), "Shift of every quantity by change")]
     caption = (
         "Shift of every quantity with its 95 % interval. Grey: within the gap between the "
@@ -232,7 +212,7 @@ def _figures(found: WhatIf) -> Gallery:
         images.append(to_image(_dose_figure(found, *doses), f"Dose and response: {doses[0]}"))
         caption += " Dose and response: changed means over the amount of the change, with the "
         caption += "interval of their shift; dashed: recorded."
-    return Gallery(images, caption)
+    return page.Gallery(images, caption)
 
 
 def _grid(count: int, width: float, height: float, **options: Any) -> tuple[Figure, Any]:
@@ -325,7 +305,7 @@ def _dose_figure(found: WhatIf, name: str, doses: list[float]) -> Figure:
 # -- the player -----------------------------------------------------------------------------------
 
 
-def _player(found: WhatIf, inputs: PageInputs) -> Player:
+def _player(found: WhatIf, inputs: PageInputs) -> player.Player:
     """Play the unchanged world beside each change, and beside the recordings."""
     played = found.answers[:MOST_PLAYED]
     views = []
@@ -333,23 +313,28 @@ def _player(found: WhatIf, inputs: PageInputs) -> Player:
         guess = " (a guess)" if answer.warning == Caution.RED else ""
         changed = inputs.stage.of(answer.species)
         views.append(
-            view(f"change-{k}", UNCHANGED, UNCHANGED, f"{answer.scenario.name}{guess}",
+            player.view(f"change-{k}", UNCHANGED, UNCHANGED, f"{answer.scenario.name}{guess}",
                  f"change-{k}", changed)
         )  # fmt: skip
-    views.append(view(UNCHANGED, inputs.recorded, RECORDED, UNCHANGED, UNCHANGED))
+    views.append(player.view(UNCHANGED, inputs.recorded, RECORDED, UNCHANGED, UNCHANGED))
     recorded = Rollouts.from_demonstrations(found.demos)
     quantity = next(found.quantities())
     first = played[0].rollouts
     shift = quantity.values(first) - quantity.values(found.baseline)
     of_first = np.flatnonzero(found.baseline.repetition == 0)[: len(found.demos)]
     chosen = of_first[
-        at_ranks(shift[of_first], found.baseline.demo[of_first], middles(STARTS))
+        player.at_ranks(
+            shift[of_first], found.baseline.demo[of_first], player.middles(player.STARTS)
+        )
     ].tolist()
     scenes = []
     for i in chosen:
         start = int(found.baseline.demo[i])
-        tracks = {RECORDED: track(recorded, start), UNCHANGED: track(found.baseline, i)}
-        tracks |= {f"change-{k}": track(a.rollouts, i) for k, a in enumerate(played)}
-        scenes.append(Scene(f"Start {start}", tracks))
+        tracks = {
+            RECORDED: player.track(recorded, start),
+            UNCHANGED: player.track(found.baseline, i),
+        }
+        tracks |= {f"change-{k}": player.track(a.rollouts, i) for k, a in enumerate(played)}
+        scenes.append(player.Scene(f"Start {start}", tracks))
     said = f"{len(scenes)} test starts, in both worlds with the same random numbers."
-    return play(inputs, scenes, views, said)
+    return player.play(inputs, scenes, views, said)

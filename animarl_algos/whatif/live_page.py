@@ -127,7 +127,10 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
     if isinstance(species, ChaseSpecies):
         return model | {"senses": _chase_senses(species)}
     assert isinstance(species, SearchSpecies)
-    return model | {"senses": _search_senses(species), "plume": _plume(species)}
+    columns = {seen.name: int(seen) for seen in search_layout.Seen}
+    senses = search_kernels.senses_of(species)._asdict()
+    plain = {name: v if isinstance(v, bool) else float(v) for name, v in senses.items()}
+    return model | {"senses": {"columns": columns} | plain, "plume": _plume(species)}
 
 
 def _refuse(scenario: Scenario) -> None:
@@ -272,16 +275,6 @@ def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
         "delays": [float(senses.shares[-1])] * chase_layout.DELAYS if species.free else [],
         "on_course": chase_layout.MEMORY.index(COURSE),
     }
-
-
-def _search_senses(species: SearchSpecies) -> dict[str, Any]:
-    senses = search_kernels.senses_of(species)._asdict()
-    columns = {seen.name: int(seen) for seen in search_layout.Seen}
-    return {"columns": columns, **{name: _plain(value) for name, value in senses.items()}}
-
-
-def _plain(value: Any) -> float | bool:
-    return value if isinstance(value, bool) else float(value)
 
 
 def _plume(species: SearchSpecies) -> dict[str, Any]:

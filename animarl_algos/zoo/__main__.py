@@ -22,13 +22,7 @@ from animarl_algos.learner.callbacks import ProgressBar
 from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.run_settings import check_device
-from animarl_algos.zoo.manager import (
-    EVAL_BY_LENGTH,
-    UNSET_STEPS,
-    AnimalExperimentManager,
-    FinalScore,
-    species_of_id,
-)
+from animarl_algos.zoo import manager
 from animarl_envs.checks import printable
 from animarl_envs.errors import InputError
 from animarl_envs.files import unreadable_or_unwritable
@@ -65,11 +59,11 @@ class Parser(argparse.ArgumentParser):
         self.description, self.formatter_class = NOTE, argparse.RawDescriptionHelpFormatter
         settings = "Settings of zoo_configs/<algo>.yml"
         self.add_argument("--preset", choices=PRESETS, default="default", help=settings)
-        self.set_defaults(algo="dqdil-pt", eval_freq=EVAL_BY_LENGTH)
+        self.set_defaults(algo="dqdil-pt", eval_freq=manager.EVAL_BY_LENGTH)
         asked: argparse.Namespace = super().parse_args(*args, **kwargs)
         for package in asked.gym_packages:
             importlib.import_module(package)
-        species_of_id(asked.env)
+        manager.species_of_id(asked.env)
         if asked.device != "auto":
             check_device(asked.device)
         model = Path(asked.trained_agent)
@@ -80,7 +74,7 @@ class Parser(argparse.ArgumentParser):
         if asked.trial_id is not None:
             raise InputError("--trial-id is not supported: give the trial's settings by -params")
         for name in ("eval_episodes", "n_eval_envs", "n_trials", "n_timesteps"):
-            if getattr(asked, name) != UNSET_STEPS or name != "n_timesteps":
+            if getattr(asked, name) != manager.UNSET_STEPS or name != "n_timesteps":
                 COUNT.check(f"--{name.replace('_', '-')}", getattr(asked, name))
         COUNT_OR_NONE.check("--n-evaluations", asked.n_evaluations)
         if asked.optimize_hyperparameters:
@@ -101,10 +95,12 @@ def register() -> None:
     """Put the learners and what is changed of rl_zoo3 into its tables and modules."""
     rl_zoo3.ALGOS.clear()
     rl_zoo3.ALGOS.update({name: named.algorithm for name, named in RECIPES.items()})
-    vars(rl_zoo3.exp_manager).update(ProgressBarCallback=ProgressBar, TrialEvalCallback=FinalScore)
+    vars(rl_zoo3.exp_manager).update(
+        ProgressBarCallback=ProgressBar, TrialEvalCallback=manager.FinalScore
+    )
     vars(rl_zoo3.train).update(
         argparse=SimpleNamespace(ArgumentParser=Parser),
-        ExperimentManager=AnimalExperimentManager,
+        ExperimentManager=manager.AnimalExperimentManager,
         StoreDict=StoreData,
     )
 

@@ -315,8 +315,9 @@ class Renderer:
             heading = float(scene.headings[i])
             for part in BODIES[name]:
                 if part.rimmed:
-                    outline = _widened(part.outline)
-                    self._polygon(_placed(outline, centre, heading, length), rim)
+                    out = part.outline - part.outline.mean(axis=0)
+                    wider = part.outline + RIM * out / np.linalg.norm(out, axis=1, keepdims=True)
+                    self._polygon(_placed(wider, centre, heading, length), rim)
             for part in BODIES[name]:
                 colour = palette.mix(own, palette.BACKGROUND, part.white)
                 self._polygon(_placed(part.outline, centre, heading, length), colour)
@@ -375,12 +376,6 @@ def _fading_colours(colour: RGB) -> list[RGB]:
     first, last = TRAIL_OPACITY
     shares = last + (first - last) * np.exp(-np.arange(round(5 * TRAIL_FADE)) / TRAIL_FADE)
     return [palette.mix(palette.ARENA, colour, share) for share in shares.tolist()]
-
-
-def _widened(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The outline, moved outwards from its own middle by the width of a rim."""
-    out = outline - outline.mean(axis=0)
-    return np.asarray(outline + RIM * out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
 def _placed(shape: Points, centre: Points, heading: float, length: float) -> NDArray[np.float64]:
@@ -466,18 +461,14 @@ class Pictures:
             self._renderer = Renderer(self.render_mode, SIZE // self.columns, self.frame_rate)
         pictures = [self._renderer.draw(recorder.scene()) for recorder in self._recorders]
         drawn = [pixels for pixels in pictures if pixels is not None]
-        blank = [_blank(drawn[0]) for _ in range(self.num_copies - len(drawn))] if drawn else []
-        return drawn + blank
+        rest = range(self.num_copies - len(drawn))
+        return drawn + [np.full_like(p, palette.BACKGROUND) for p in drawn[:1] for _ in rest]
 
     def close(self) -> None:
         """Close the window, if any."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-
-def _blank(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.full_like(picture, palette.BACKGROUND)
 
 
 # -- clips ----------------------------------------------------------------------------------------

@@ -28,15 +28,7 @@ from animarl_envs import files
 from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require, require_extra
-from animarl_envs.importing.table_layout import (
-    BLANK,
-    UTF_8,
-    Layout,
-    encoding_of,
-    is_number,
-    layout_of_lines,
-    split_cells,
-)
+from animarl_envs.importing import table_layout
 
 EXTENSIONS = (
     ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq",
@@ -64,11 +56,11 @@ class Words:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table(Layout):
+class Table(table_layout.Layout):
     """A table whose layout is known; its columns are read on demand."""
 
     path: Path
-    encoding: str = UTF_8
+    encoding: str = table_layout.UTF_8
     sheet: str | None = None
     kind: str = "text"  # or workbook, packed text, Parquet
 
@@ -78,7 +70,9 @@ class Table(Layout):
         if self.kind == "Parquet":
             return self.kind
         kind = self.kind if self.kind == "workbook" else f"{self.kind} in {self.encoding}"
-        sign = {"\t": "tabs", BLANK: "blanks"}.get(self.separator, repr(self.separator))
+        sign = {"\t": "tabs", table_layout.BLANK: "blanks"}.get(
+            self.separator, repr(self.separator)
+        )
         return f"{kind}, separator {sign}, decimal {self.decimal!r}, first row on {self.first + 1}"
 
     def place(self, row: int) -> str:
@@ -100,7 +94,7 @@ class Table(Layout):
                 f"{self.path}: it has {len(self.names):,} columns, more than {MOST_COLUMNS:,}: cut "
                 "it in parts"
             )
-        if self.names and all(map(is_number, self.names)):
+        if self.names and all(map(table_layout.is_number, self.names)):
             raise InputError(
                 f"{self.path}: its first line holds numbers, not names: put a line of names above "
                 "them"
@@ -166,13 +160,13 @@ class Table(Layout):
             raw = _sheet_as_text(self.path, self.sheet)
         elif self.kind == "packed text":
             raw = _unpacked(self.path)
-        elif self.encoding != UTF_8:
+        elif self.encoding != table_layout.UTF_8:
             raw = _decoded(self.path, self.encoding)
-        elif self.separator == BLANK:
+        elif self.separator == table_layout.BLANK:
             raw = self.path.read_bytes()
         else:
             return None
-        if self.separator == BLANK:
+        if self.separator == table_layout.BLANK:
             return b"\n".join(b"\t".join(line.split()) for line in raw.split(b"\n"))
         return raw
 
@@ -203,7 +197,9 @@ class Table(Layout):
         kinds = [pyarrow.float64()] * len(numbers)
         kinds += [pyarrow.dictionary(pyarrow.int32(), pyarrow.string())] * len(words)
         positions = [str(i) for i in range(len(self.names))]
-        between = "\t" if self.separator == BLANK else self.separator  # blanks were made tabs
+        between = (
+            "\t" if self.separator == table_layout.BLANK else self.separator
+        )  # blanks were made tabs
         size = max(len(self._content or b"") or self.path.stat().st_size, 1)
         batches = []
         try:
@@ -313,7 +309,7 @@ def plain_table(path: Path) -> Table:
         header = ""
     separator = ";" if ";" in header and "," not in header else ","
     separator = "\t" if path.suffix.lower() == ".tsv" else separator
-    names = tuple(split_cells(header, separator))
+    names = tuple(table_layout.split_cells(header, separator))
     return Table(names, separator=separator, path=path)
 
 
@@ -325,7 +321,7 @@ def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, s
     """
     files.refuse_unfinished(path)
     try:
-        with path.open(newline="", encoding=encoding_of(path)) as file:
+        with path.open(newline="", encoding=table_layout.encoding_of(path)) as file:
             header = file.readline()
             separator = max(",;\t", key=header.count)
             file.seek(0)
@@ -360,16 +356,20 @@ def _open_table(
             names = tuple(str(name) for name in file.schema_arrow.names)
         return Table(names, path=path, kind="Parquet")
     if is_workbook(path):
-        head, encoding, kind = _sheet_as_text(path, sheet)[:HEAD], UTF_8, "workbook"
+        head, encoding, kind = _sheet_as_text(path, sheet)[:HEAD], table_layout.UTF_8, "workbook"
     elif path.suffix.lower() == PACKED:
-        head, encoding, kind = _unpacked(path)[:HEAD], UTF_8, "packed text"
+        head, encoding, kind = _unpacked(path)[:HEAD], table_layout.UTF_8, "packed text"
     else:
         with path.open("rb") as file:
             if file.read(len(OLD_EXCEL)) == OLD_EXCEL:
                 raise InputError(f"{path}: it is of the old Excel format: save it as .xlsx or .csv")
             file.seek(0)
-            encoding, kind = encoding or encoding_of(path), "text"
-            head = file.read(HEAD) if encoding == UTF_8 else _decoded(path, encoding)[:HEAD]
+            encoding, kind = encoding or table_layout.encoding_of(path), "text"
+            head = (
+                file.read(HEAD)
+                if encoding == table_layout.UTF_8
+                else _decoded(path, encoding)[:HEAD]
+            )
     if b"\0" in head:
         raise InputError(f"{path}: it holds NUL bytes: it is no text table")
     lines = head.decode("utf-8-sig", errors="ignore").split("\n")
@@ -380,7 +380,7 @@ def _open_table(
         lines.pop()
     if not lines:
         raise InputError(f"{path}: it is empty: check the file")
-    layout = vars(layout_of_lines(lines))
+    layout = vars(table_layout.layout_of_lines(lines))
     return Table(path=path, encoding=encoding, sheet=sheet, kind=kind, **layout)
 
 

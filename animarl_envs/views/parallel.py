@@ -15,21 +15,13 @@ from pettingzoo import ParallelEnv
 from animarl_envs.drawing.render import RENDER_MODES
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.species import Species
-from animarl_envs.views.common import (
-    View,
-    check_action,
-    checked_limit,
-    cut_after,
-    observation_space,
-    task_options,
-    viewed_scenario,
-)
+from animarl_envs.views import common
 
 Observations = dict[str, NDArray[np.float32]]
 NONE_YET = -1  # in the place of an executed action
 
 
-class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
+class AnimalParallelEnv(common.View, ParallelEnv[str, NDArray[np.float32], int]):
     """Every individual of a species acts; all end together.
 
     Parameters
@@ -73,15 +65,17 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         max_cycles: int | None = None,
         **options: Any,
     ) -> None:
-        options = options if recorded else task_options(species, options)
+        options = options if recorded else common.task_options(species, options)
         with also_list_options_of(AnimalParallelEnv.__init__):
-            scenario = viewed_scenario(species, options)
-        self.max_cycles = checked_limit("max_cycles", max_cycles)
+            scenario = common.viewed_scenario(species, options)
+        self.max_cycles = common.checked_limit("max_cycles", max_cycles)
         self._build(scenario, 1, render_mode)
         self.metadata["name"] = f"animarl_{scenario.species.name}_v0"
         self.possible_agents = list(scenario.names)
         self.agents: list[str] = []
-        self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
+        self.observation_spaces = {
+            a: common.observation_space(self.world) for a in self.possible_agents
+        }
         actions = self.world.num_actions
         self.action_spaces = {a: spaces.Discrete(actions) for a in self.possible_agents}
         self.np_random = np.random.default_rng()
@@ -137,7 +131,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         executed = executed.tolist()
         world.step(self._actions)
         if self.max_cycles is not None:
-            cut_after(world, self.max_cycles)
+            common.cut_after(world, self.max_cycles)
         self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
@@ -171,7 +165,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
                 raise InputError(
                     f"there is no action for {agent}: give one to each of {', '.join(self.agents)}"
                 )
-            chosen.append(check_action(actions[agent], count, f" of {agent}"))
+            chosen.append(common.check_action(actions[agent], count, f" of {agent}"))
         self._actions[0] = chosen
 
     def state(self) -> NDArray[np.float32]:

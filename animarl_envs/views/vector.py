@@ -14,21 +14,11 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
-from animarl_envs.views.common import (
-    FocalView,
-    Others,
-    check_actions,
-    checked_limit,
-    chosen_demos,
-    cut_after,
-    observation_space,
-    reset_options,
-    stream_seed,
-)
+from animarl_envs.views import common
 
 
 class AnimalVectorEnv(  # type: ignore[misc]
-    FocalView, VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]
+    common.FocalView, VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]
 ):
     """``num_envs`` copies of an :class:`~animarl_envs.views.single.AnimalEnv` in one kernel call.
 
@@ -68,7 +58,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         num_envs: int = 1,
         *,
         focal: str | None = None,
-        others: Others = None,
+        others: common.Others = None,
         recorded: bool = False,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
@@ -77,7 +67,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs!r}: it must be a whole number, at least 1")
-        self._most = checked_limit("max_episode_steps", max_episode_steps)
+        self._most = common.checked_limit("max_episode_steps", max_episode_steps)
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -88,7 +78,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         self._build_focal(species, num_envs, focal, others, recorded, render_mode, options)
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.num_envs = num_envs
-        self.single_observation_space = observation_space(self.world)
+        self.single_observation_space = common.observation_space(self.world)
         self.single_action_space = Discrete(self.world.num_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -111,12 +101,12 @@ class AnimalVectorEnv(  # type: ignore[misc]
 
         A list of seeds has one per copy; where it is ``None`` the copy's stream goes on.
         """
-        given = reset_options(options, "demo", "reset_mask")
+        given = common.reset_options(options, "demo", "reset_mask")
         self._seed(seed)
         mask = np.array(given.get("reset_mask", self._all), dtype=bool)
         if mask.shape != (self.num_envs,):
             raise InputError(f"reset_mask has shape {mask.shape}: give ({self.num_envs},)")
-        demo = chosen_demos(given.get("demo"), self.scenario, self.num_envs)
+        demo = common.chosen_demos(given.get("demo"), self.scenario, self.num_envs)
         self.world.reset(mask, demo=demo)
         self._started = True
         self._ended[mask] = False
@@ -139,10 +129,12 @@ class AnimalVectorEnv(  # type: ignore[misc]
         if seed is None or (listed is not None and not self._started):
             self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
         if isinstance(seed, int | np.integer):
-            self.world.seed(np.arange(self.num_envs, dtype=np.uint64) + stream_seed(int(seed)))
+            self.world.seed(
+                np.arange(self.num_envs, dtype=np.uint64) + common.stream_seed(int(seed))
+            )
         elif listed is not None:
             streams, kept = self.world.random_state.copy(), np.array([s is None for s in listed])
-            self.world.seed(np.array([stream_seed(s or 0) for s in listed]))
+            self.world.seed(np.array([common.stream_seed(s or 0) for s in listed]))
             self.world.random_state[kept] = streams[kept]
 
     def step(
@@ -152,7 +144,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         if not self._started:
             raise InputError("step was called before reset: call reset first")
         world, i = self.world, self.focal_index
-        self._actions[:, i] = check_actions(actions, (self.num_envs,), world.num_actions)
+        self._actions[:, i] = common.check_actions(actions, (self.num_envs,), world.num_actions)
         for j, policy in self._policies.items():
             self._actions[:, j] = np.asarray(policy(world.observation[:, j].copy()))
         due = self._ended.copy()  # copies to reset instead of stepping them
@@ -170,7 +162,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
             world.random_state[due] = streams  # as if the step had not been
             world.reset(due)
             warming[due] = False
-        cut_after(world, self._most)
+        common.cut_after(world, self._most)
         self._follow(due)
         ended = world.terminated | world.truncated
         reward = world.reward[:, i].copy()
