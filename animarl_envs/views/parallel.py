@@ -130,8 +130,7 @@ class AnimalParallelEnv(common.View, ParallelEnv[str, NDArray[np.float32], int])
         executed = world.executed(self._actions)[0] if warming else self._actions[0]
         executed = executed.tolist()
         world.step(self._actions)
-        if self.max_cycles is not None:
-            common.cut_after(world, self.max_cycles)
+        common.cut_after(world, self.max_cycles)
         self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
