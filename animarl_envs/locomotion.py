@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -115,7 +115,7 @@ class Locomotion:
     @property
     def action_vectors(self) -> NDArray[np.float64]:
         """``(12 M + 1, 2)``, egocentric frame, in multiples of the thrust; read-only."""
-        return _action_vectors(self.magnitudes)
+        return action_vectors(self.magnitudes)
 
     @property
     def smallest_thrust(self) -> float:
@@ -165,8 +165,9 @@ def fixed_multiples(thrusts: int) -> tuple[float, ...]:
     return tuple(float(m) for m in np.geomspace(2.3, 0.25, thrusts))
 
 
-@cache
-def _action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
+@lru_cache(maxsize=256)
+def action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
+    """Accelerations of all actions in the egocentric frame, ``(12 M + 1, 2)``; read-only."""
     pushes = [magnitude * ACTION_VECTORS[:NUM_DIRECTIONS] for magnitude in magnitudes]
     vectors = np.concatenate([*pushes, ACTION_VECTORS[COAST:]])
     vectors.setflags(write=False)

@@ -33,7 +33,6 @@ from animarl_algos.learner.checks import (
     check_setting_combinations,
     translate_policy_kwargs,
 )
-from animarl_algos.learner.collecting import Memory
 from animarl_algos.learner.presets import (
     check_settings,
     constructor_settings,
@@ -54,7 +53,7 @@ from animarl_algos.learner.updates import UpdateSchedule
 from animarl_algos.losses.terms import Phase, Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.networks.policies import GruPolicy, PolicySettings
+from animarl_algos.networks.policies import GruPolicy, PolicySettings, State
 from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -122,7 +121,7 @@ class BaseLearner(OffPolicyAlgorithm):
     policy: GruPolicy
     policy_class: type[GruPolicy]
     replay_buffer: SequenceReplayBuffer | None  # type: ignore[assignment]
-    memory: Memory
+    memory: State
     if TYPE_CHECKING:
 
         def __getattr__(self, setting: str) -> Any: ...
@@ -358,15 +357,15 @@ class BaseLearner(OffPolicyAlgorithm):
 
     # -- act --------------------------------------------------------------------------------------
 
-    def predict(self, *observation: Any, **memory: Any) -> tuple[NDArray[Any], Memory]:  # type: ignore[override]
+    def predict(self, *observation: Any, **memory: Any) -> tuple[NDArray[Any], State]:  # type: ignore[override]
         """Actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
         return self.policy.predict(*observation, **memory)
 
-    def remember(self, state: Memory, executed: NDArray[np.integer]) -> Memory:
+    def remember(self, state: State, executed: NDArray[np.integer]) -> State:
         """See :meth:`GruPolicy.remember`."""
         return self.policy.remember(state, executed)
 
-    def leave_out(self, state: Memory, over: NDArray[np.bool_]) -> Memory:
+    def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
         """See :meth:`GruPolicy.leave_out`."""
         return self.policy.leave_out(state, over)
 

@@ -13,12 +13,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.data.vec_env import Feedback, SlotLayout
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.acting_rule import Acting
-from animarl_algos.networks.policies import GruPolicy
+from animarl_algos.networks.policies import GruPolicy, State
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
-
-Memory = tuple[NDArray[np.float32], NDArray[np.int64]]
-"""Of all slots: recurrent states ``(S, H)`` and previous actions ``(S,)``."""
 
 
 class Collector:
@@ -32,10 +29,10 @@ class Collector:
         self,
         buffer: SequenceReplayBuffer,
         observation: NDArray[Any],
-        memory: Memory,
+        memory: State,
         *,
         at_random: bool = False,
-    ) -> tuple[Any, Any, Any, Any, list[dict[str, Any]], Memory]:
+    ) -> tuple[Any, Any, Any, Any, list[dict[str, Any]], State]:
         """Make one step of all slots from ``observation`` and store it in ``buffer``.
 
         Actions are chosen by the policy's acting rule, or uniformly ``at_random``. Returns them,

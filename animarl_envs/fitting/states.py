@@ -227,7 +227,8 @@ def _log_actions(seen: Steps, model: StateFit, state: int) -> tuple[Floats, Floa
     """
     change = ((seen.after - seen.before) ** 2).sum(axis=1)
     jump = math.log(JUMPS) + _log_normal(change, model.broad)
-    square = _misses(seen, float(model.damping[state]), model.dt * _vectors(model.thrusts[state]))
+    vectors = model.dt * locomotion.action_vectors(tuple(model.thrusts[state]))
+    square = _misses(seen, float(model.damping[state]), vectors)
     each = math.log1p(-JUMPS) + np.log(model.pushes + TINY)
     each = each + _log_normal(square, float(model.noise[state]))
     return each, np.logaddexp(np.logaddexp.reduce(each, axis=1), jump)
@@ -257,7 +258,7 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
     states, magnitudes = model.thrusts.shape
     damping, thrusts, noise = (a.copy() for a in (model.damping, model.thrusts, model.noise))
     pushes = np.full(len(model.pushes), 1e-6)
-    unit = model.dt * _vectors(np.ones(magnitudes))
+    unit = model.dt * locomotion.action_vectors((1.0,) * magnitudes)
     for s in range(states):
         log, whole = _log_actions(seen, model, s)
         each = np.exp(log - whole[:, None]) * weight[:, s, None]
@@ -277,7 +278,8 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
         kept, *pushed = np.linalg.solve(gram + ridge * np.eye(len(gram)), right)
         damping[s] = 1.0 - min(max(kept, 0.0), 1.0)
         thrusts[s] = np.maximum(pushed, 1e-9)
-        square = _misses(seen, float(damping[s]), model.dt * _vectors(thrusts[s]))
+        vectors = model.dt * locomotion.action_vectors(tuple(thrusts[s]))
+        square = _misses(seen, float(damping[s]), vectors)
         variance = float((each * square).sum()) / (2 * max(float(total.sum()), 1e-12))
         noise[s] = max(math.sqrt(max(variance, 0.0)), LEAST_NOISE * model.broad / BROAD)
     stay = model.stay
@@ -286,12 +288,6 @@ def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> Sta
         stay = stay / stay.sum(axis=1, keepdims=True)
     pushes /= pushes.sum()
     return replace(model, damping=damping, thrusts=thrusts, noise=noise, pushes=pushes, stay=stay)
-
-
-def _vectors(thrusts: Floats) -> Floats:
-    """Accelerations of the actions in the egocentric frame, ``(12 M + 1, 2)``."""
-    pushes = [thrust * locomotion.ACTION_VECTORS[: locomotion.NUM_DIRECTIONS] for thrust in thrusts]
-    return np.concatenate([*pushes, np.zeros((1, 2))])
 
 
 # -- kernels ----------------------------------------------------------------------------------
