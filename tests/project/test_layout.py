@@ -71,30 +71,30 @@ LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 218,
     "animarl_algos.benchmark": 1_895,
-    "animarl_algos.cli": 2_545,
-    "animarl_algos.data": 1_075,
+    "animarl_algos.cli": 2_529,
+    "animarl_algos.data": 1_061,
     "animarl_algos.evaluation": 5_150,
-    "animarl_algos.learner": 3_076,
-    "animarl_algos.losses": 598,
-    "animarl_algos.networks": 1_731,
+    "animarl_algos.learner": 3_050,
+    "animarl_algos.losses": 593,
+    "animarl_algos.networks": 1_722,
     "animarl_algos.recipes": 197,
-    "animarl_algos.replay": 953,
+    "animarl_algos.replay": 948,
     "animarl_algos.report": 2_289,
-    "animarl_algos.runs": 2_750,
-    "animarl_algos.whatif": 2_184,
-    "animarl_algos.zoo": 483,
-    "animarl_envs": 2_403,
-    "animarl_envs.demos": 1_271,
-    "animarl_envs.drawing": 998,
-    "animarl_envs.fitting": 2_350,
-    "animarl_envs.importing": 5_223,
-    "animarl_envs.species": 1_214,
-    "animarl_envs.views": 959,
-    "animarl_envs.worlds": 4_175,
+    "animarl_algos.runs": 2_722,
+    "animarl_algos.whatif": 2_123,
+    "animarl_algos.zoo": 479,
+    "animarl_envs": 2_406,
+    "animarl_envs.demos": 1_276,
+    "animarl_envs.drawing": 983,
+    "animarl_envs.fitting": 2_336,
+    "animarl_envs.importing": 5_151,
+    "animarl_envs.species": 1_213,
+    "animarl_envs.views": 917,
+    "animarl_envs.worlds": 4_144,
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 31_007
+TESTS = 31_006
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 
