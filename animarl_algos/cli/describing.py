@@ -17,7 +17,9 @@ from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise, unit_of
+from animarl_envs.fitting.custom_species import MAY_BE_BEYOND, share_beyond
 from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.species import CUSTOM
 
 Row = tuple[str, str]
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
@@ -223,6 +225,13 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
         found.append(
             "the end of a recording is taken for the end of the film, after which the animals "
             f"went on: otherwise give {contact_too}--ends left if an animal left the field"
+        )
+    edged = demos.species == CUSTOM and "searcher" not in demos.roles
+    if edged and (beyond := share_beyond(demos)) > MAY_BE_BEYOND:
+        found.append(
+            f"{100 * beyond:.1f} % of the frames of an animal lie clearly beyond the arena's edge, "
+            "so no wall stands there, and leaving the boundary ends a simulated episode: "
+            "otherwise give a wider --arena-width"
         )
     most, used = (demos.provenance.get(key) for key in ("animals_tracked", "share_used"))
     keep_more = "fill gaps by --max-gap, or choose a shorter --piece, to keep more"

@@ -45,6 +45,7 @@ from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored, softm
 SMALLEST_CONTACT = 0.001  # share of the arena's size
 SIDED = 4.0  # standard errors from left and right alike
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
+BEYOND_WALLS, MAY_BE_BEYOND = 0.03, 0.02  # sizes; share of frames that tracking errors put there
 
 _FITS: dict[tuple[str, str, int], Any] = {}
 
@@ -122,16 +123,24 @@ def species_of(
 def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
     """Return the arena of :func:`species_of`: the recorded field, with walls if its world has.
 
-    Open for a searcher.
+    Open for a searcher. Your own animals have walls, unless they left or were recorded beyond.
     """
     if "searcher" in demos.roles:
         return Arena("open", demos.arena.size)
     name = base or demos.species
     if demos.arena.shape == "open":
         return demos.arena
+    if name in SPECIES:
+        return replace(demos.arena, rebound=get_species(name).arena.rebound)
     left = demos.provenance.get("ends") == "left"
-    walled = get_species(name).arena.rebound if name in SPECIES else not left
-    return replace(demos.arena, rebound=walled)
+    return replace(demos.arena, rebound=not left and share_beyond(demos) <= MAY_BE_BEYOND)
+
+
+def share_beyond(demos: Demonstrations) -> float:
+    """Share of frames in which whoever did so most often was farther out than a wall allows."""
+    walls, seen = replace(demos.arena, rebound=True), learnable(demos).positions
+    within = walls.contains(seen, margin=BEYOND_WALLS * demos.arena.size)
+    return float(1.0 - within.mean(axis=0).min())
 
 
 def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:

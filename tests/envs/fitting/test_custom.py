@@ -13,6 +13,7 @@ from recordings import CHASER, PREY, dogs, search
 from refusals import refuses
 
 import animarl_envs
+from animarl_algos.cli.describing import found_by_itself
 from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
@@ -101,6 +102,17 @@ def test_numbers_are_those_of_the_file() -> None:
     assert "synthetic" in species.source
     kept = {"recipe": {"cutting": {"longest": "inf", "keep_last": 9.0}}}
     assert species_of(_told(demos, **kept)).time_limit == 90
+
+
+@pytest.mark.parametrize(("every", "walled"), [(20, False), (80, True)])
+def test_a_wall_stands_where_nobody_was_recorded_beyond_it(every: int, walled: bool) -> None:
+    """Tracking errors put one frame in eighty there, not one in twenty."""
+    demos = dogs(1)
+    beyond = demos.positions.copy()
+    beyond[::every, 0] = (1.05 * demos.arena.size, 0.0)
+    seen = replace(demos, positions=beyond)
+    assert species_of(seen, fit=(CHASER, PREY)).arena.rebound is walled
+    assert ("no wall stands there" in " ".join(found_by_itself(seen))) is not walled
 
 
 def test_animals_of_several_thrusts_see_their_past_and_others_do_not() -> None:
