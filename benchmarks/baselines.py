@@ -45,7 +45,7 @@ from animarl_envs.worlds import make_world
 
 TASKS = ("agent", "fly", "newt")
 EPISODES, STARTS, SCALING_STARTS = 500, 1_000_000, 3_000_000
-COPIES, ROLLOUT, STEPS = 64, 128, 300_000
+COPIES, ROLLOUT, STEPS = 64, 128, 1_200_000
 GAMMA, WIDTHS = 0.995, [64, 64]
 Act = Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions ``(B, P)`` of all pursuers from what they see, ``(B, P, n)``."""
@@ -216,7 +216,9 @@ def of_benchmarl(task: str, name: str, seed: int, steps: int) -> Act:
     algorithm: Any = kinds[name].get_from_yaml()
     on_policy = name != "QMIX"
     if on_policy:
-        algorithm.lmbda, algorithm.entropy_coef = 0.95, 0.005
+        algorithm.lmbda = (
+            0.95  # advantages are not scaled, so a bonus for entropy would outweigh them
+        )
     config = ExperimentConfig.get_from_yaml()
     changed = {
         "gamma": GAMMA, "lr": 1e-3 if on_policy else 5e-4, "max_n_frames": steps,
