@@ -44,7 +44,8 @@ def test_every_cell_of_the_test_table_has_its_headline_on_the_page(tables: dict[
 def test_the_page_says_how_many_living_cells_have_a_fault(tables: dict[str, Any]) -> None:
     cells = pd.read_csv(tables["TEST_TABLE"]).drop_duplicates(["set", "seed"])
     living = cells[cells["set"].isin(LIVING)]
-    faulty = (living["overall"] != "moves like the recordings").sum()
+    without = ["moves like the recordings", "not distinguishable"]
+    faulty = (~living["overall"].isin(without)).sum()
     page = (ROOT / "docs" / "results" / "README.md").read_text()
     assert f"{faulty} of {len(living)} cells have a fault" in page
 
