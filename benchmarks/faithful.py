@@ -47,8 +47,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
-from animarl_algos.evaluation.classifier import SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.order_in_time import ORDER
+from animarl_algos.evaluation.statistics import UNDEFINED
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.report.words import Words
@@ -95,7 +96,8 @@ class Bar:
         """What it is about, by the verdict's columns; None of an ending that neither side knows."""
         empty = dict.fromkeys(found.table.columns, math.nan)
         if self.kind == "tracking":
-            floor = {"recorded": found.among.estimate, "simulated": found.floor.estimate}
+            areas = found.areas[AUC]
+            floor = {"recorded": areas["among"].estimate, "simulated": areas["floor"].estimate}
             return empty | floor | {"label": "Closed-loop tracking told apart, the floor (AUC)"}
         if self.kind == "seconds":
             return empty | {"label": "Time from file to verdict (s)", "simulated": seconds}
@@ -105,11 +107,12 @@ class Bar:
 
     def met(self, found: Verdict, row: Mapping[str, Any]) -> bool | None:
         """Whether it holds; None where that cannot be said."""
+        floor = found.areas[AUC].get("floor", UNDEFINED).estimate
         value, limit = {
             "alike": (0.0 if row["judgement"] in (SAME, BY_LITTLE) else 1.0, 0.5),
             "p": (-row["p"], -self.limit),
             "auc": (row["simulated"], self.limit),
-            "floor": (row["simulated"], found.floor.estimate + self.limit),
+            "floor": (row["simulated"], floor + self.limit),
             "tracking": (row["simulated"], self.either(row)),
             "seconds": (row["simulated"], self.limit),
             "difference": (abs(row["value"]), self.limit),
@@ -122,11 +125,12 @@ class Bar:
         return self.limit if row["simulated"] <= self.limit else row["recorded"] + NEAR
 
     def words(self, found: Verdict) -> str:
+        floor = found.areas[AUC].get("floor", UNDEFINED).estimate
         return {
             "alike": "inside its null or within 10 %",
             "p": f"p > {self.limit:g}",
             "auc": f"at most {self.limit:g}",
-            "floor": f"at most {self.limit:g} above the floor, {found.floor.estimate:.3g}",
+            "floor": f"at most {self.limit:g} above the floor, {floor:.3g}",
             "tracking": f"at most {self.limit:g}, or within {NEAR:g} of recordings",
             "difference": f"within {self.limit:g}",
             "relative": f"within {100 * self.limit:g} %",

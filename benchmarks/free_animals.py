@@ -38,16 +38,11 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_algos import load_run
-from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.classifier import sequence_windows, tell_apart, window_steps
 from animarl_algos.evaluation.collect import Blindfolded
 from animarl_algos.evaluation.order_in_time import nearest_other
+from animarl_algos.evaluation.prepared import resting_step, smoothed
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.windows import (
-    resting_step,
-    sequence_windows,
-    smoothed,
-    window_steps,
-)
 from animarl_algos.runs.run import Run
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged

@@ -17,9 +17,8 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_algos.evaluation.metrics import judged_metrics, measures
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable

@@ -19,12 +19,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, ndtr, ndtri
 
-from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.classifier import Windows, tell_apart, window_features
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, pair_table
 from animarl_algos.evaluation.comparison import gate as passed_gate
-from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
-from animarl_algos.evaluation.realism import _over_groups as over_groups
+from animarl_algos.evaluation.realism import over_groups
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     Cells,
@@ -34,7 +33,7 @@ from animarl_algos.evaluation.statistics import (
     energy_cells,
     margins,
 )
-from animarl_algos.evaluation.windows import Windows, window_features
+from animarl_algos.evaluation.verdict_rows import Exchanges, exchange_test
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
@@ -311,7 +310,7 @@ def copies(experiments: int) -> None:
                 exchanges = Exchanges.draw(demo, starts, rng, 400, copies=repeats)
                 kinds = np.digitize(both, [-1.5, 0.0, 1.5])
                 alarms += [exchange_test(both[:, None], exchanges).p <= 0.05,
-                           not exchanges.chi_squared(kinds).inside]  # fmt: skip
+                           exchanges.chi_squared(kinds).p <= 0.05]  # fmt: skip
             name = "five rollouts" if counted else "one"
             rows.append([name, str(starts), *(percent(n, experiments) for n in alarms)])
     heading = ["copies count as", "starts", "difference of means", "chi-squared"]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from animarl_algos import load_run
 from animarl_algos.report import style
-from animarl_algos.report.path_figures import Stage, draw_paths, path_panels
+from animarl_algos.report.figures import Stage, draw_paths, path_panels
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations

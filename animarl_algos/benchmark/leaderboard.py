@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from animarl_algos.benchmark.matrix import Plan
-from animarl_algos.benchmark.pieces import Cell, Clone, Scoring
+from animarl_algos.benchmark.pieces import Cell, Clone
 from animarl_algos.benchmark.scores import ENERGY, Score, differences, labels, ranked
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.verdict_rows import OUTCOMES
@@ -48,7 +48,9 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
         if scoring.finished(out):
             boards.setdefault(scoring.data, []).append(scoring.result(out))
         else:
-            missing.append(f"- {scoring.name.removesuffix('/score')}: {_reason(scoring, out)}\n")
+            errors = [f"{cell.name}: {why}" for cell in scoring.cells if (why := cell.error(out))]
+            why = "; ".join(errors) or scoring.error(out) or "not finished"
+            missing.append(f"- {scoring.name.removesuffix('/score')}: {why}\n")
     text = ""
     rows: list[dict[str, Any]] = []
     for name, scores in boards.items():
@@ -57,7 +59,7 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
         for one in scores:
             head = {key: getattr(one, key) for key in HEAD} | {"rank": ranks.get(one.method, "")}
             head["seeds"] = " ".join(map(str, one.seeds))
-            rows += [head | dict(row) for _, row in one.measures.reset_index().iterrows()]
+            rows += [head | row for row in one.measures]
     _write_csv(out / "leaderboard.csv", rows)
     text += f"\n## Not there\n\n{''.join(missing)}" if missing else ""
     with write_then_rename(out / "leaderboard.md") as part:
@@ -78,13 +80,13 @@ def _section(plan: Plan, name: str, scores: Sequence[Score], ranks: Mapping[str,
     )
 
     def place(one: Score) -> tuple[bool, float]:
-        value = float(one.of(ENERGY)["value"])
+        value = one.by_measure[ENERGY]["value"]
         return one.method not in ranks, value if math.isfinite(value) else math.inf
 
     def cell(one: Score, key: str) -> str:
-        if key not in one.measures.index:
+        row = one.by_measure.get(key)
+        if row is None:
             return NOTHING
-        row = one.of(key)
         value = with_interval(interval(row))
         marked = f"**{value}**" if row["inside"] else value
         return f"{marked}; null {number(row['null'])}" if math.isfinite(row["null"]) else marked
@@ -108,14 +110,8 @@ def _section(plan: Plan, name: str, scores: Sequence[Score], ranks: Mapping[str,
 
 def titles(scored: Score) -> dict[str, str]:
     """Return the name of every measure with its unit."""
-    units = scored.measures["unit"].items()
-    return {str(key): labels()[str(key)] + (f" ({unit})" if unit else "") for key, unit in units}
-
-
-def _reason(scoring: Scoring, out: Path) -> str:
-    """Why a row is not there."""
-    errors = [f"{cell.name}: {why}" for cell in scoring.cells if (why := cell.error(out))]
-    return "; ".join(errors) or scoring.error(out) or "not finished"
+    names, units = labels(), {row["measure"]: row["unit"] for row in scored.measures}
+    return {key: names[key] + (f" ({unit})" if unit else "") for key, unit in units.items()}
 
 
 def _write_costs(plan: Plan, out: Path, command: str) -> None:

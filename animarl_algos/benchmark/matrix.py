@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -274,17 +273,17 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
     for name in methods:
         if name in (*RECIPES, *matrix.references):
             raise InputError(f"--method {name}: there is a row of that name: choose another")
-    worlds: list[FittedWorld] = []
-    cells: list[Cell] = []
-    with _naming(place):
-        for data, folds in matrix.recorded().items():
-            for number, demos in enumerate(folds):
-                fold = number if len(folds) > 1 else None
-                world = FittedWorld(data, matrix.world_settings(data, demos), demos, fold)
-                worlds.append(world)
-                cells += _cells_in(world, matrix, methods)
+    try:
+        worlds = [
+            FittedWorld(data, matrix.world_settings(data, demos), demos, fold)
+            for data, folds in matrix.recorded().items()
+            for fold, demos in (enumerate(folds) if len(folds) > 1 else [(None, folds[0])])
+        ]
+        cells = [cell for world in worlds for cell in _cells_in(world, matrix, methods)]
         if not cells:
             raise InputError("there is nothing to do: name recipes or references")
+    except InputError as error:
+        raise InputError(f"{place}: {error}" if place else str(error)) from error
     rows: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         rows.setdefault((cell.data, cell.method), []).append(cell)
@@ -309,16 +308,9 @@ def _cells_in(world: FittedWorld, matrix: Matrix, methods: Mapping[str, str]) ->
             yield Cell(**shared, method=name, seed=matrix.seeds[0])
 
 
-def claim_folder(out: Path) -> None:
-    """Mark a folder as one of results of this version, or make sure that it is."""
-    refuse_other_results(out)
-    if not (out / MARK).exists():
-        write_json(out / MARK, _own_mark())
-
-
-def refuse_other_results(out: Path) -> None:
-    """Refuse a folder that holds the results of another version, or something else."""
-    file, own = out / MARK, _own_mark()
+def claim_folder(out: Path, mark: bool = True) -> None:
+    """Mark a folder as one of results of this version; refuse one that holds something else."""
+    file, own = out / MARK, {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
     others = out.is_dir() and any(not is_part(inside) for inside in out.iterdir())
     if file.exists():  # asked last: another command may be about to mark it
         try:
@@ -333,19 +325,8 @@ def refuse_other_results(out: Path) -> None:
             )
     elif others:
         raise InputError(f"{out}: it holds something that is no benchmark: name another --out")
-
-
-def _own_mark() -> dict[str, Any]:
-    return {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
-
-
-@contextmanager
-def _naming(place: str) -> Iterator[None]:
-    """What is refused meanwhile names the file that it stands in."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{place}: {error}" if place else str(error)) from error
+    elif mark:
+        write_json(file, own)
 
 
 def _matches(cell: Cell, pattern: str) -> bool:

@@ -406,19 +406,14 @@ class NearestSegment:
         condition = observation[:, -1].astype(np.int64)
         for own, of in {(int(w), int(c)) for w, c in zip(who[anew], condition[anew])}:
             asking = np.flatnonzero(anew & (who == own) & (condition == of))
-            frame[asking] = self._looked_up(own, of, observation[asking, :-1])
-            left[asking] = self._steps
+            if (own, of) not in self._libraries:
+                raise InputError(
+                    f"{self._name}: no training episode is of condition {of}: deal the splits "
+                    "anew, or leave 'nearest' out of the references"
+                )
+            tree, frames, scale = self._libraries[own, of]
+            among, number = min(NEIGHBOURS, len(frames)), len(asking)
+            near = tree.query(observation[asking, :-1] * scale, k=among)[1].reshape(number, among)
+            drawn = self._rng.integers(among, size=number)
+            frame[asking], left[asking] = frames[near[np.arange(number), drawn]], self._steps
         return self._actions[frame, who], (frame, left)
-
-    def _looked_up(self, who: int, condition: int, seen: NDArray[np.floating]) -> Any:
-        """A frame for each row of observations."""
-        if (who, condition) not in self._libraries:
-            raise InputError(
-                f"{self._name}: no training episode is of condition {condition}: deal the splits "
-                "anew, or leave 'nearest' out of the references"
-            )
-        tree, frames, scale = self._libraries[who, condition]
-        among = min(NEIGHBOURS, len(frames))
-        near = np.reshape(tree.query(seen * scale, k=among)[1], (len(seen), among))
-        drawn = self._rng.integers(among, size=len(seen))
-        return frames[near[np.arange(len(seen)), drawn]]

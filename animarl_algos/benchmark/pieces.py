@@ -443,9 +443,6 @@ LOOK_AGAIN = 1.0  # [s] until a piece that another command is at is asked for ag
 class Watch:
     """Is told what happens; this one says nothing."""
 
-    def at_once(self, number: int) -> None:
-        """So many pieces are done side by side."""
-
     def started(self, piece: Piece) -> None:
         pass
 
@@ -502,7 +499,6 @@ def perform_all(pieces: Iterable[Piece], out: Path, workers: Workers, watch: Wat
     deaths: Counter[str] = Counter()
     not_before: dict[str, float] = {}
     running: dict[Future[Done | None], Piece] = {}
-    watch.at_once(workers.number)
     while later or running:
         now = time.monotonic()
         ready = [

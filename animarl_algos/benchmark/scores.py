@@ -4,27 +4,35 @@ A method is better than another where the 95 % interval of the difference of the
 over demonstrations and seeds, lies below zero. Its rank is then a range: from one more than the
 number of methods that are better, to the number of all less those that are worse. Nothing corrects
 the pairs for their number.
+
+Submissions are somebody's rollouts, checked and scored without running their code: a file as every
+run holds them (``runs/mine/rollouts/*.npz``), or as
+:meth:`~animarl_algos.evaluation.rollouts.Rollouts.save` writes them: positions in the arena frame
+[arena unit] from the start of a packaged test episode on, which ``demo`` counts. The outcome is
+checked against the last positions, the steps between them against how fast the species is, and all
+of them against the recording.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
-from animarl_algos.evaluation.prepared import Prepared, censored
+from animarl_algos.evaluation.prepared import Prepared, censored, comparison_smoothing
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     FEW_ROLLOUTS,
+    RESAMPLES,
     Draws,
     Interval,
     bootstrap_difference,
@@ -39,13 +47,20 @@ from animarl_algos.evaluation.statistics import (
 )
 from animarl_algos.evaluation.verdict import summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
-from animarl_algos.evaluation.windows import comparison_smoothing
+from animarl_envs.checks import printable
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import learnable
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import residual
+from animarl_envs.species import get_species
 
 Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
+SLACK = 0.02  # of the contact radius, for rounded positions of a submission
+PUSHES = 4.0  # times the thrust: a fit of many magnitudes has more than twice the one of a single
 REALISM, ENERGY = "realism", "energy"
 UNRANKED = ("recordings", "tracking")
 """References that were told where the recordings go."""
@@ -96,24 +111,23 @@ class Score:
     rollouts: int
     covers: str = ""
     words: str = ""
-    measures: pd.DataFrame
+    measures: list[dict[str, Any]]
     energies: Floats
 
-    def of(self, measure: str) -> Any:
-        """Return the row of one measure."""
-        return self.measures.loc[measure]
+    @property
+    def by_measure(self) -> dict[str, dict[str, Any]]:
+        """The rows by their measure."""
+        return {row["measure"]: row for row in self.measures}
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain values; NaN stays NaN."""
-        table = self.measures.reset_index().to_dict("records")
-        return vars(self) | {"measures": table, "energies": self.energies.tolist()}
+        return vars(self) | {"energies": self.energies.tolist()}
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> Score:
         """Return what :meth:`to_json` wrote."""
-        measures = pd.DataFrame(plain["measures"]).set_index("measure")
         energies, seeds = np.array(plain["energies"], dtype=np.float64), tuple(plain["seeds"])
-        return cls(**{**plain, "measures": measures, "energies": energies, "seeds": seeds})
+        return cls(**{**plain, "energies": energies, "seeds": seeds})
 
 
 def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score:
@@ -193,7 +207,7 @@ def _score(
         rollouts=len(counted),
         covers=covers(data),
         words=found.overall,
-        measures=pd.DataFrame([rows[key] for key in labels() if key in rows]).set_index("measure"),
+        measures=[rows[key] for key in labels() if key in rows],
         energies=energies.cell_means,
     )
 
@@ -221,3 +235,135 @@ def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
         name: f"{best}" if best == worst else f"{best}\u2013{worst}"
         for name, (best, worst) in places.items()
     }
+
+
+# -- submissions -----------------------------------------------------------------------------------
+
+
+def score_submission(path: str | Path, species: str, *, resamples: int = RESAMPLES) -> Score:
+    """Check a submission and measure it against the packaged test split of ``species``.
+
+    InputError names the rollout that is not from a test start, or could not have been made.
+    """
+    rollouts, demos = read_submission(Path(path), species)
+    return replace(score(rollouts, demos, resamples=resamples), data=species, kind="method")
+
+
+def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]:
+    """The rollouts of a file, and the packaged demonstrations, all splits, that they are of.
+
+    Only rollouts in the recorded condition, told no other one, count.
+    """
+    if species not in packaged_names():
+        raise InputError(
+            f"--species {printable(species)}: choose among {', '.join(packaged_names())}"
+        )
+    made, demos = Rollouts.load(path), load_packaged(species)
+    test = demos.select(split="test")
+    for key in ("individuals", "roles", "dt"):
+        if getattr(made, key) != getattr(test, key):
+            raise InputError(
+                f"{path}: its {key} ({getattr(made, key)}) are not those of {species} "
+                f"({getattr(test, key)}): name the species that was rolled out"
+            )
+    if made.demo.min() < 0 or made.demo.max() >= len(test):
+        wrong = int(np.flatnonzero((made.demo < 0) | (made.demo >= len(test)))[0])
+        raise InputError(
+            f"{path}: rollout {wrong}: demo is {made.demo[wrong]}: there are 0 to {len(test) - 1}"
+        )
+    made = made.factual(test)
+    if len(set(zip(made.demo.tolist(), made.seed.tolist(), made.repetition.tolist()))) < len(made):
+        raise InputError(
+            f"{path}: two rollouts have the same demo, seed and repetition: count repetitions up"
+        )
+    if missing := set(range(len(test))) - set(made.demo.tolist()):
+        raise InputError(f"{path}: no rollout is from test episode {min(missing)}: leave none out")
+    fastest = float(np.linalg.norm(demos.velocities(), axis=2).max()) * demos.dt
+    widest = float(np.abs(demos.positions).max())
+    for i, demo in enumerate(made.demo.tolist()):
+        for fault in _faults(made.path(i), int(made.outcome[i]), demo, test, fastest, widest):
+            raise InputError(f"{path}: rollout {i}: {fault}")
+    return replace(made, method=printable(made.method)), demos
+
+
+def _faults(
+    path: Floats, outcome: int, demo: int, test: Demonstrations, fastest: float, widest: float
+) -> Iterator[str]:
+    """Yield why a rollout cannot have been made from the start of test episode ``demo``.
+
+    ``fastest`` and ``widest`` are the longest recorded step and the largest coordinate.
+    """
+    species, recorded = get_species(test.species), test.path(demo)
+    limit, slack = species.time_limit, SLACK * species.contact_radius
+    if not 2 <= len(path) <= limit + 1:
+        yield f"it has {len(path)} frames, and an episode 2 to {limit + 1}: give every frame"
+    if np.abs(path[0] - recorded[0]).max() > slack:
+        yield f"it does not begin where test episode {demo} began"
+    # Nobody is where, or takes a step that, no animal and no locomotion of theirs could.
+    damping = np.array([own.damping for own in species.locomotion])
+    push = PUSHES * np.array([own.thrust for own in species.locomotion]) * species.dt**2
+    step = max(fastest, float((push / damping).max()))
+    boundary = species.arena.boundary
+    most = max(widest, boundary) + step  # who is out has ended the episode
+    if not np.isfinite(boundary):
+        most = widest + limit * step
+    if (far := float(np.abs(path).max())) > most:
+        yield (
+            f"a coordinate is {far:.3g} in size, and {most:.3g} is the most: "
+            "give positions in the arena frame, in arena units"
+        )
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
+    before = np.concatenate([np.full_like(steps[:1], fastest), np.maximum(steps[:-1], fastest)])
+    added = [residual(steps[:, k], before[:, k], own) for k, own in enumerate(damping)]
+    beyond = np.minimum(np.stack(added, axis=1) - push, steps - fastest)
+    if (beyond > 0).any():
+        frame, who = np.argwhere(beyond > 0)[0].tolist()
+        could = steps[frame, who] - beyond[frame, who]
+        yield (
+            f"{test.individuals[who]} moves {steps[frame, who]:.3g} from frame {frame} to "
+            f"{frame + 1}, where {could:.3g} is the most that it could: give every "
+            "frame as it was simulated"
+        )
+    common = min(len(path), len(recorded))  # warm-up and a second more leave enough to tell
+    enough = common > species.warmup + 1 + max(1, round(1 / species.dt))
+    if enough and np.abs(path[:common] - recorded[:common]).max() <= slack:
+        yield (
+            f"it is the recording of test episode {demo} itself, frame by frame: "
+            "give what the method did from its start"
+        )
+    yield from _faults_of_outcome(outcome, path, test)
+
+
+def _faults_of_outcome(outcome: int, path: Floats, test: Demonstrations) -> Iterator[str]:
+    """Yield why an episode cannot have ended so.
+
+    The target, or the source at the origin, was reached if and only if it was in reach at the end;
+    else somebody is out, or the time limit has passed.
+    """
+    species = get_species(test.species)
+    radius, goal, movers = species.contact_radius, np.zeros(2), path[-1]
+    if "target" in test.roles:
+        target = test.roles.index("target")
+        goal, movers = path[-1, target], np.delete(path[-1], target, axis=0)
+    elif not test.has_goal:
+        goal = np.full(2, np.inf)  # nobody can be reached
+    if outcome not in (TIME_OUT, TARGET_OUT, PURSUER_OUT) and not 1 <= outcome <= len(movers):
+        yield f"outcome {outcome} is none: see its codes"
+    distance = np.linalg.norm(movers - goal, axis=1).min()
+    if outcome > 0 and distance > radius * (1 + SLACK):
+        yield f"it claims that the goal was reached, which is {distance:.3g} away at the end"
+    if outcome == TIME_OUT and distance < radius * (1 - SLACK):
+        yield "it ends in reach of the goal and claims that it was not reached"
+    if outcome == TIME_OUT and len(path) <= species.time_limit:
+        yield (
+            f"it claims that time ran out, with {len(path)} of {species.time_limit + 1} "
+            "frames: roll out until the episode ends"
+        )
+    if outcome in (TARGET_OUT, PURSUER_OUT):
+        is_target = np.array([role == "target" for role in test.roles])
+        left = path[-1, is_target == (outcome == TARGET_OUT)]
+        if replace(species.arena, rebound=False).contains(left, -SLACK * radius).all():
+            yield (
+                "it claims that somebody left the arena, and all of them are within it "
+                "at the end: give the outcome with which the episode ended"
+            )

@@ -25,11 +25,10 @@ from animarl_algos.benchmark.matrix import (
     matrix_file,
     plan,
     read_matrix,
-    refuse_other_results,
 )
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece, Watch, Workers, perform_all
-from animarl_algos.benchmark.submission import score_submission
+from animarl_algos.benchmark.scores import score_submission
 from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
@@ -98,7 +97,7 @@ def benchmark_command(
     methods = dict(parse_method(given) for given in method or [])
     whole = plan(matrix, methods, matrix_file(preset, config))
     asked = whole.only(only or [])
-    refuse_other_results(out)
+    claim_folder(out, mark=False)
     console = PlainConsole(least_width=100)
     if show:
         console.print(_listing(asked, out))
@@ -134,7 +133,7 @@ def score_command(file: Path, species: str) -> None:
     for heading in ("measure", "value [95 % interval]", "null", "remark"):
         table.add_column(heading)
     for key, title in titles(found).items():
-        row = found.of(key)
+        row = found.by_measure[key]
         table.add_row(title, with_interval(interval(row)), number(row["null"]), row["reason"])
     console.print(table)
     console.print(

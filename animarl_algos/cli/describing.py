@@ -127,7 +127,7 @@ def counted(number: int, noun: str) -> str:
 
 def hints(demos: Demonstrations) -> list[str]:
     """Return what somebody who looks at the result may have missed."""
-    from animarl_algos.evaluation.windows import WINDOW  # slow to import
+    from animarl_algos.evaluation.prepared import WINDOW
 
     told, counts = demos.provenance, {s: int((demos.split == s).sum()) for s in SPLITS}
     found = []

@@ -1,13 +1,16 @@
 """Which of these two is recorded? A classifier's answer, after Lopez-Paz and Oquab (2017, ICLR).
 
-How often boosted trees rank a simulated window (:mod:`animarl_algos.evaluation.windows`) above a
-recorded one, the area under the ROC curve, is 0.5 if nothing distinguishes the two and 1 if
-everything does. They are asked about demonstrations that they were not trained on: folds are dealt
-by demonstration, and a rollout goes with the recording that it started from. Only windows of one
-fold are compared: pooling scores of all folds would push the null below 0.5.
+How often boosted trees rank a simulated window of motion above a recorded one, the area under the
+ROC curve, is 0.5 if nothing distinguishes the two and 1 if everything does. They are asked about
+demonstrations that they were not trained on: folds are dealt by demonstration, and a rollout goes
+with the recording that it started from. Only windows of one fold are compared: pooling scores of
+all folds would push the null below 0.5.
 
-In a verdict two judges are asked: about two seconds of motion, and about order in time over up to
-a quarter of an episode. What their areas are printed beside excuses no row.
+Short windows are described by the same few series (speeds, acceleration, turning, distances,
+bearings, place in the arena) of all individuals, each summed up by its mean, spread, extremes and
+median. These are unsigned, so a path cannot be told from the same path reversed, or circles from a
+search. Long windows, up to a quarter of an episode, are therefore described by the measures of
+:mod:`animarl_algos.evaluation.order_in_time`. What their areas are printed beside excuses no row.
 """
 
 from __future__ import annotations
@@ -16,12 +19,20 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.order_in_time import (
+    angle,
+    distance_to_edge,
+    lags_for,
+    median_steps,
+    nearest_other,
+    order_measures,
+)
+from animarl_algos.evaluation.prepared import WINDOW, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     UNDEFINED,
@@ -29,18 +40,21 @@ from animarl_algos.evaluation.statistics import (
     Interval,
     Ints,
     percentile_interval,
+    row_of,
 )
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, UNKNOWN, Row
-from animarl_algos.evaluation.windows import (
-    WINDOW,
-    Windows,
-    sequence_windows,
-    window_features,
-    window_steps,
-)
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, Row
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
 from animarl_envs.errors import InputError, MissingExtraError
+
+FEWEST_STEPS = 4  # of a window, where decisions are slow
+QUARTER = 0.25  # of the median episode: a long window ...
+SHORTEST, LONGEST = 2.0, 20.0  # ... which lasts so long [s]
+MOST_PARTS = 10_000  # of one demonstration
+FEWEST_GROUPS = 5  # recordings, for their demonstrations to be kept together
+SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
+DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
 
 FOLDS = 5
 DEALS = 2  # the folds are dealt anew so many times, at least, and the answers joined
@@ -61,6 +75,204 @@ MOST_ERRORS = 2.33  # above chance: a row that differs by chance alone does so i
 FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
 PART = 15  # windows of such a part
 AUC, SEQUENCE = "auc", "auc_sequence"
+
+
+# -- windows --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows of one side of a comparison.
+
+    Parameters
+    ----------
+    values
+        ``(windows, features)``, NaN where a feature is not defined.
+    group
+        ``(windows,)``, the demonstration that each is of, or started from; or the part of it.
+    kinds
+        ``(features,)``, what each feature is about: one of the names above.
+    """
+
+    values: Floats
+    group: Ints
+    kinds: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def of(self, groups: NDArray[np.integer]) -> Windows:
+        """Those of some demonstrations."""
+        chosen = np.isin(self.group, groups)
+        return replace(self, values=self.values[chosen], group=self.group[chosen])
+
+    def by_recording(self, demos: Demonstrations) -> Windows:
+        """All of one recording in one group, if there are ``FEWEST_GROUPS``; else unchanged.
+
+        Episodes cut from one recording are of the same animals: who knows some of them knows the
+        others. The present groups are ``demos``.
+        """
+        names, recording = np.unique(demos.recording, return_inverse=True)
+        if len(names) < FEWEST_GROUPS:
+            return self
+        return replace(self, group=recording[self.group].astype(np.int64))
+
+
+def window_features(
+    rollouts: Rollouts, arena: Arena, *, block: int | None = None, still: Floats | None = None
+) -> Windows:
+    """Describe all windows of ``WINDOW`` seconds of all episodes.
+
+    Of a group every animal has its own, which holds its neighbours and the group as it sees them.
+    Windows lie end to end from the first frame of an episode. What is left over at its end is a
+    window too if it is at least half as long; an episode shorter than a window is one short window.
+
+    Parameters
+    ----------
+    rollouts, arena
+        Of one method, or the recordings; for the distance to the arena's edge, in an open field
+        that to the origin, the source.
+    block
+        Where demonstrations are too few: so many successive windows of one make a group of their
+        own, the same stretch of time in the recording and in its rollouts.
+    still
+        ``(individuals,)`` distance [arena unit], see :func:`resting_step`; who moves less is at
+        rest: no speed, no direction. By default zero.
+    """
+    steps = max(FEWEST_STEPS, round(WINDOW / rollouts.dt))
+    first, count, episode = _cut(rollouts, steps)
+    group = rollouts.demo[episode]
+    if block is not None:
+        place = (first - rollouts.offsets[episode]) // steps
+        group = group * MOST_PARTS + np.minimum(place // block, MOST_PARTS - 1)
+    offsets = np.arange(steps + 1)
+    paths = rollouts.positions[first[:, None] + np.minimum(offsets, count[:, None])]
+    paths[offsets > count[:, None]] = np.nan
+    num = paths.shape[2]
+    rest = np.zeros(num) if still is None else still
+    series = list(_series(paths, rollouts, arena, rest))
+    if rollouts.is_group:
+        group = np.repeat(group, num)
+    described = [(kind, _summary(one)) for kind, one in series]
+    kinds = [kind for kind, columns in described for _ in range(columns.shape[1])]
+    values = np.concatenate([columns for _, columns in described], axis=1)
+    return Windows(values, group, np.array(kinds))
+
+
+def window_steps(recorded: Rollouts) -> int:
+    """Return the steps of a long window: a quarter of an episode, 2 to 20 s."""
+    steps = QUARTER * median_steps(recorded)
+    low, high = (round(limit / recorded.dt) for limit in (SHORTEST, LONGEST))
+    return int(np.clip(round(steps), max(4, low), max(4, high)))
+
+
+def sequence_windows(
+    rollouts: Rollouts, arena: Arena, rest: Floats, steps: int, group: Ints
+) -> Windows:
+    """Describe the order in time in all windows of ``steps`` steps, cut as short ones are.
+
+    ``group`` ``(recordings,)`` names the unit of resampling of each start.
+    """
+    first, count, episode = _cut(rollouts, steps)
+    frames = [np.arange(a, a + n + 1) for a, n in zip(first.tolist(), count.tolist())]
+    parts = {name: getattr(rollouts, name)[episode] for name in rollouts.EACH if name != "lengths"}
+    positions = rollouts.positions[np.concatenate(frames)]
+    pieces = replace(rollouts, positions=positions, lengths=count + 1, **parts)
+    measured = order_measures(pieces, lags_for(steps, rollouts.dt), rest, arena)
+    return Windows(measured.values, group[pieces.demo], np.array(measured.kinds))
+
+
+def _cut(rollouts: Rollouts, steps: int) -> tuple[Ints, Ints, Ints]:
+    """First frame, steps and episode of every window."""
+    found = []
+    for index, (start, length) in enumerate(zip(rollouts.offsets.tolist(), rollouts.lengths)):
+        left = int(length) - 1
+        for begin in range(0, max(left, 1), steps):
+            here = min(steps, left - begin)
+            if begin == 0 or here >= steps / 2:
+                found.append((start + begin, here, index))
+    first, count, episode = np.array(found).T
+    return first, count, episode
+
+
+def _series(
+    paths: Floats, rollouts: Rollouts, arena: Arena, still: Floats
+) -> list[tuple[str, Floats]]:
+    """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``.
+
+    Of a group, ``(windows * K, times)``.
+    """
+    steps, num, dt = paths.shape[1] - 1, paths.shape[2], rollouts.dt
+    series: list[tuple[str, Floats]] = []
+    if rollouts.is_group:
+        nearest, centre = nearest_other(paths), paths.mean(axis=2, keepdims=True)
+        each, near, arm = (
+            one.swapaxes(1, 2).reshape(-1, steps + 1, 1, 2)
+            for one in (paths, nearest, centre - paths)
+        )
+        moved = _moved(each[:, :, 0], 1, float(still.max()))
+        for vectors in (near[:, :, 0], arm[:, :, 0]):
+            series.append((DISTANCE, np.linalg.norm(vectors, axis=-1)))
+            series.append((BEARING, _unsigned(moved, vectors[:, :-1])))
+        mean = np.diff(paths, axis=1).mean(axis=2)
+        series.append((BEARING, _unsigned(moved, np.repeat(mean, num, axis=0))))
+        paths, num = each, 1
+    quarter = max(1, steps // 4)
+    for k in range(num):
+        own = paths[:, :, k]
+        for stride in sorted({1, quarter, steps}):
+            moved = _moved(own, stride, still[k])
+            series.append((SPEED, np.linalg.norm(moved, axis=-1) / (stride * dt)))
+        moved = _moved(own, 1, still[k])
+        bend = np.linalg.norm(np.diff(moved, axis=1), axis=-1)
+        series.append((ACCELERATION, bend / dt**2))
+        for stride in sorted({1, quarter}):
+            turned = _moved(own, stride, still[k])
+            series.append((TURNING, _unsigned(turned[:, :-stride], turned[:, stride:])))
+        series.append((PLACE, distance_to_edge(own, arena)))
+        if num == 1 and rollouts.has_goal:
+            series.append((BEARING, _unsigned(moved, -own[:, :-1])))
+        for other in range(num):
+            between = paths[:, :, other] - own
+            if other != k:
+                series.append((BEARING, _unsigned(moved, between[:, :-1])))
+            if other > k:
+                series.append((DISTANCE, np.linalg.norm(between, axis=-1)))
+    return series
+
+
+def _moved(points: Floats, stride: int, still: float) -> Floats:
+    """How far each point lies from the one ``stride`` frames before; zero up to ``still``."""
+    moved = points[:, stride:] - points[:, :-stride]
+    distance = np.linalg.norm(moved, axis=-1, keepdims=True)
+    return np.where(distance <= still, 0.0 * moved, moved)  # where there is no point, NaN stays
+
+
+def _unsigned(first: Floats, second: Floats) -> Floats:
+    """Unsigned angle between vectors [rad]; NaN where one is zero."""
+    shorter = np.minimum(np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1))
+    return np.where(shorter <= 0, np.nan, np.abs(angle(first, second)))
+
+
+def _summary(series: Floats) -> Floats:
+    """Mean, standard deviation, least, median and greatest of each row, ``(windows, 5)``.
+
+    A series of a single value gives that alone. NaN is left out.
+    """
+    ordered = np.sort(series, axis=1)  # NaN comes last
+    if ordered.shape[1] == 1:
+        return np.asarray(ordered)
+    number = np.isfinite(ordered).sum(axis=1)
+    last = np.maximum(number - 1, 0)
+    rows = np.arange(len(ordered))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.nansum(ordered, axis=1) / number
+        spread = np.sqrt(np.nansum((ordered - mean[:, None]) ** 2, axis=1) / number)
+    middle = (ordered[rows, last // 2] + ordered[rows, (last + 1) // 2]) / 2
+    return np.stack([mean, spread, ordered[:, 0], middle, ordered[rows, last]], axis=1)
+
+
+# -- telling them apart ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -145,20 +357,14 @@ def tell_apart(
             if not splits:
                 reason = "too few windows for a tree to split: all scores are tied"
                 return Telling(Interval(math.nan, reason=reason))
-            auc = _area(wins, pairs, drawn, folds)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                above, all_met = (np.einsum("rg,rg->r", drawn @ s, drawn) for s in (wins, pairs))
+                auc = percentile_interval(float(wins.sum() / pairs.sum()), above / all_met)
+            auc = widen_for_folds(auc, folds)
             low, high = NEAR_CHANCE
             if until_clear and deal + 1 >= DEALS and not low <= _errors_above_chance(auc) <= high:
                 break
     return Telling(auc, {what: float(np.mean(by)) for what, by in fallen.items()})
-
-
-def _area(wins: Floats, pairs: Floats, drawn: Floats, folds: int) -> Interval:
-    """Share of ``pairs`` won, its interval over the ``drawn`` groups."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        won, met = (np.einsum("rg,rg->r", drawn @ side, drawn) for side in (wins, pairs))
-        return widen_for_folds(
-            percentile_interval(float(wins.sum() / pairs.sum()), won / met), folds
-        )
 
 
 def _errors_above_chance(auc: Interval) -> float:
@@ -277,44 +483,35 @@ def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
     return replace(Rollouts.from_demonstrations(demos), positions=stored)
 
 
-@dataclass(frozen=True, eq=False)
-class Judge:
-    """What one judge makes of the rollouts, and of what they are read beside.
+class Judged(NamedTuple):
+    """The row of one judge, and what it is read beside; nothing of that is subtracted.
 
     ``areas`` are those under the curve, by name: of recordings ``among`` themselves, of closed-loop
     tracking (``floor``) and of random actions (``ceiling``).
     """
 
-    key: str
-    label: str
-    simulated: Telling
-    areas: Mapping[str, Interval] = field(default_factory=dict)
+    row: Row
+    areas: Mapping[str, Interval]
+    importance: Mapping[str, float]
 
-    def row(self) -> Row:
-        """Return its row: what tracking comes to is printed beside it, not subtracted."""
-        auc, among = self.simulated.auc, self.areas.get("among", UNDEFINED)
-        row = Row(
-            measure=self.key,
-            label=self.label,
-            recorded=among.estimate,
-            simulated=auc.estimate,
-            value=auc.estimate,
-            low=auc.low,
-            high=auc.high,
-            null=among.high,
-        )
-        if not math.isfinite(auc.low):
-            words = f"{UNKNOWN}: {auc.reason}" if auc.reason else UNKNOWN
-            return replace(row, judgement=UNKNOWN, verdict=words, reason=auc.reason)
-        if _errors_above_chance(auc) <= MOST_ERRORS:
-            return row
-        importance = self.simulated.importance
-        by = max(importance, key=lambda what: importance[what], default="")
-        if auc.estimate <= LITTLE_AUC:
-            words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
-            return replace(row, judgement=BY_LITTLE, verdict=words)
-        words = f"distinguished, most of all by {by}"
-        return replace(row, judgement=DIFFERS, verdict=words)
+
+def _judged(key: str, label: str, found: Telling, areas: Mapping[str, Interval]) -> Judged:
+    auc, among, importance = found.auc, areas.get("among", UNDEFINED), found.importance
+    judgement = words = SAME
+    by = max(importance, key=lambda what: importance[what], default="")
+    if not math.isfinite(auc.low):
+        judgement = UNKNOWN
+        words = f"{UNKNOWN}: {auc.reason}" if auc.reason else UNKNOWN
+    elif _errors_above_chance(auc) > MOST_ERRORS and auc.estimate <= LITTLE_AUC:
+        judgement = BY_LITTLE
+        words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
+    elif _errors_above_chance(auc) > MOST_ERRORS:
+        judgement, words = DIFFERS, f"distinguished, most of all by {by}"
+    row = Row(
+        **row_of(auc, measure=key, label=label, judgement=judgement, verdict=words),
+        recorded=among.estimate, simulated=auc.estimate, null=among.high,
+    )  # fmt: skip
+    return Judged(row, areas, importance)
 
 
 def judges(
@@ -326,7 +523,7 @@ def judges(
     streams: Sequence[np.random.Generator],
     *,
     alone: bool = False,
-) -> Iterator[Judge]:
+) -> Iterator[Judged]:
     """Ask about two seconds of motion, then about order in time.
 
     ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
@@ -347,13 +544,13 @@ def judges(
     def judge(
         key: str, of: str, windows: Callable[[Rollouts], Windows], rng: np.random.Generator,
         among: Callable[[Windows], Interval],
-    ) -> Judge:  # fmt: skip
+    ) -> Judged:  # fmt: skip
         own, label = windows(prepared.recorded), f"Distinguished by {of} (AUC)"
         found = tell_apart(own, windows(counted), rng, importance=not alone, until_clear=alone)
         if alone:
-            return Judge(key, label, found)
+            return _judged(key, label, found, {})
         areas = {name: tell_apart(own, windows(s), rng, deals=1).auc for name, s in sides.items()}
-        return Judge(key, label, found, {"among": among(own), **areas})
+        return _judged(key, label, found, {"among": among(own), **areas})
 
     def others(own: Windows) -> Interval:
         if references is None:
@@ -366,15 +563,3 @@ def judges(
     seconds, halves = steps * prepared.recorded.dt, partial(among_themselves, rng=streams[2])
     of_order = f"order in time over {seconds:.3g} s"
     yield judge(SEQUENCE, of_order, long, streams[2], partial(halves, halves=1))
-
-
-def read_beside(
-    prepared: Prepared, floor: Tracked | None, baselines: Mapping[str, Rollouts]
-) -> dict[str, Rollouts]:
-    """Return what rollouts are read beside, smoothed as the recordings."""
-    demos, sides = prepared.demos, {}
-    if (random := baselines.get("random")) is not None:
-        sides["ceiling"] = random.factual(demos)
-    if floor is not None:
-        sides["floor"] = followed(demos, floor)
-    return {name: prepared.filtered(one) for name, one in sides.items()}

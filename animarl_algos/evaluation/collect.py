@@ -95,7 +95,6 @@ def collect_rollouts(
     seed: int,
     repetitions: int = 5,
     cue: Cue | None = None,
-    deterministic: bool = False,
     resolution: Resolution | Literal["recorded"] | None = "recorded",
     reseed: Callable[[int], None] | None = None,
 ) -> Rollouts:
@@ -120,8 +119,6 @@ def collect_rollouts(
         ``None``: no condition flag. Otherwise the flag is appended to every observation as its
         last component: the world's condition, its opposite, or a constant. The world itself is
         never changed by it.
-    deterministic
-        Handed on to ``predict``.
     resolution
         The grid to which positions of finished rollouts are rounded, by default that of the world's
         demonstrations; ``None``: they stay as simulated. The simulation itself is never rounded.
@@ -151,7 +148,7 @@ def collect_rollouts(
         world.seed([_stream_seed(np.uint64, seed, *task) for task in batch.tolist()])
         if reseed is not None:
             reseed(_stream_seed(np.uint32, seed, first))
-        parts.append(_run_batch(world, policy, demos, batch, method, seed, cue, deterministic))
+        parts.append(_run_batch(world, policy, demos, batch, method, seed, cue))
     made = Rollouts.concatenate(parts)
     return replace(made, positions=rounded(made.positions, grid))
 
@@ -164,11 +161,15 @@ def _run_batch(
     method: str,
     seed: int,
     cue: Cue | None,
-    deterministic: bool,
 ) -> Rollouts:
     copies, num = world.num_copies, world.num_individuals
     world.reset(demo=tasks[:, 0].copy())
-    flag = None if cue is None else _flag(cue, world.condition)
+    if cue not in (None, "actual", "flipped", 0, 1):
+        raise InputError(f"cue is {cue!r}: choose 'actual', 'flipped', 0 or 1")
+    flag, condition = None, world.condition
+    if cue is not None:
+        told = {"actual": condition.copy(), "flipped": 1 - condition}.get(str(cue), cue)
+        flag = np.broadcast_to(np.asarray(told, dtype=np.int8), condition.shape)
     frames = [world.position.copy()]
     components = np.zeros_like(world.components)
     length = np.zeros(copies, dtype=np.int64)
@@ -182,9 +183,7 @@ def _run_batch(
         if flag is not None:
             column = np.repeat(flag, num)[:, None].astype(observation.dtype)
             observation = np.concatenate([observation, column], axis=1)
-        actions, state = policy.predict(
-            observation, state=state, episode_start=starts, deterministic=deterministic
-        )
+        actions, state = policy.predict(observation, state=state, episode_start=starts)
         asked = np.asarray(actions).reshape(copies, num)
         executed = world.executed(asked)
         state = remembered(policy, state, asked, executed)
@@ -227,13 +226,6 @@ def remembered(
     if executed is asked or remember is None:
         return state
     return remember(state, executed.ravel())
-
-
-def _flag(cue: Cue, condition: NDArray[np.int8]) -> NDArray[np.int8]:
-    if cue not in ("actual", "flipped", 0, 1):
-        raise InputError(f"cue is {cue!r}: choose 'actual', 'flipped', 0 or 1")
-    told = {"actual": condition.copy(), "flipped": 1 - condition}.get(str(cue), cue)
-    return np.broadcast_to(np.asarray(told, dtype=np.int8), condition.shape)
 
 
 def _stream_seed(kind: type, seed: int, *place: int) -> int:

@@ -10,7 +10,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import permutations as ordered_pairs
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,47 +81,31 @@ class _Measure:
         return found if enough else Interval(math.nan, reason=FEW_ROLLOUTS)
 
 
-@dataclass(frozen=True, eq=False)
-class _Methods:
-    """Rows that may be compared, by method."""
+def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
+    """Yield every metric by every rule of what counts, and its energy score.
 
-    metrics: pd.DataFrame
-    num_demos: int
-
-    @cached_property
-    def rows(self) -> dict[str, pd.DataFrame]:
-        by_method = self.metrics[self.metrics["factual"]].groupby("method", sort=False)
-        return {str(name): rows for name, rows in by_method}
-
-    def measures(self) -> Iterator[_Measure]:
-        """Yield every metric by every rule of what counts, and its energy score.
-
-        A share among captures would say nothing; where nobody can be reached, there are none.
-        """
-        known = [metric for metric in METRICS if metric.compared and metric.key in self.metrics]
-        for metric in known:
-            for rule in COUNTING if TARGET_REACHED in known and not metric.share else ("all",):
-                values = {
-                    name: rows[metric.key].where(rows["captured"] | (rule == "all"))
-                    for name, rows in self.rows.items()
-                    if metric.of_recordings or name != RECORDED
-                }
-                data = {
-                    name: cells(each, *self._place(name), self.num_demos)
-                    for name, each in values.items()
-                }
-                yield _Measure(metric, rule, data)
-                if metric.has_distribution and RECORDED in data:
-                    truth = data[RECORDED].cell_means[0]
-                    scores = {
-                        name: energy_cells(each, *self._place(name), truth)
-                        for name, each in values.items()
-                        if name != RECORDED
-                    }
-                    yield _Measure(metric, rule, scores, truth)
-
-    def _place(self, name: str) -> tuple[pd.Series[int], pd.Series[int]]:
-        return self.rows[name]["seed"], self.rows[name]["demo"]
+    A share among captures would say nothing; where nobody can be reached, there are none.
+    """
+    methods = [*metrics[metrics["factual"]].groupby("method", sort=False)]
+    known = [metric for metric in METRICS if metric.compared and metric.key in metrics]
+    for metric in known:
+        for rule in COUNTING if TARGET_REACHED in known and not metric.share else ("all",):
+            values = {
+                str(name): (
+                    rows[metric.key].where(rows["captured"] | (rule == "all")),
+                    rows["seed"],
+                    rows["demo"],
+                )
+                for name, rows in methods
+                if metric.of_recordings or name != RECORDED
+            }
+            data = {name: cells(*each, num_demos) for name, each in values.items()}
+            yield _Measure(metric, rule, data)
+            if metric.has_distribution and RECORDED in data:
+                truth = data[RECORDED].cell_means[0]
+                del values[RECORDED]
+                scores = {name: energy_cells(*each, truth) for name, each in values.items()}
+                yield _Measure(metric, rule, scores, truth)
 
 
 def comparison_table(
@@ -152,7 +135,7 @@ def comparison_table(
     import pandas as pd
 
     draws, table = Draws.by(rng, resamples), []
-    for each in _Methods(metrics, num_demos).measures():
+    for each in _measures(metrics, num_demos):
         for name, data in each.data.items():
             value = each.explained(bootstrap_mean(data, draws, share=each.share), data)
             null = math.nan if each.truth is None else pooled_score(each.truth[data.starts])
@@ -185,18 +168,21 @@ def pair_table(
     """
     import pandas as pd
 
-    draws, methods, table = Draws.by(rng, resamples), _Methods(metrics, num_demos), []
-    own = {name.casefold(): name for name in methods.rows if name != RECORDED}
+    draws, table = Draws.by(rng, resamples), []
+    names = metrics.loc[metrics["factual"], "method"].unique()
+    own = {str(name).casefold(): str(name) for name in names if name != RECORDED}
     planned = {
         (own[one.casefold()], own[other.casefold()])
         for one, other in PLANNED_CONTRASTS
         if {one.casefold(), other.casefold()} <= set(own)
     }
-    for each in methods.measures():
+    taking_part = {one for pair in planned for one in pair}
+    for each in _measures(metrics, num_demos):
         metric, opened = each.metric, None
         gated = each.truth is not None or not metric.has_distribution
         if planned and metric.planned and each.counting == "all" and gated:
-            opened = _gate_of(each.data, {one for pair in planned for one in pair}, rng)
+            data = [cells for name, cells in each.data.items() if name in taking_part]
+            opened = gate([cells.seed_means for cells in shared_starts(data)], rng)
         for first, second in ordered_pairs(each.data, 2):
             if first == RECORDED:
                 continue
@@ -215,14 +201,6 @@ def pair_table(
                 row |= {"gate": opened.decision, "gate_p": opened.p}
             table.append(row)
     return pd.DataFrame(table)
-
-
-def _gate_of(data: Mapping[str, Cells], taking_part: set[str], rng: np.random.Generator) -> Gate:
-    """Of the methods that take part, on the starts that all of them have."""
-    shared = shared_starts([cells for name, cells in data.items() if name in taking_part])
-    if shared[0].counts.shape[1] == 0:
-        return Gate(math.nan, math.nan)
-    return gate([cells.seed_means for cells in shared], rng)
 
 
 # -- the gate -------------------------------------------------------------------------------------
@@ -256,7 +234,10 @@ def gate(
 
     A one-way ANOVA whose null exchanges which method a seed belongs to, ``permutations`` times. The
     observed way counts among those as extreme, so p is never zero and is valid for any number.
+    Methods without seeds, those that share no start, cannot be compared.
     """
+    if not all(map(len, methods)):
+        return Gate(math.nan, math.nan)
     sizes, values = np.array(list(map(len, methods))), np.concatenate(methods)
     ways = math.factorial(len(values)) // math.prod(map(math.factorial, sizes.tolist()))
     alike = math.prod(math.factorial(int((sizes == size).sum())) for size in np.unique(sizes))
@@ -331,7 +312,6 @@ def evaluate(
     learner: str | None = None,
     floor: Tracked | None = None,
     references: Demonstrations | None = None,
-    smoothing: int | None = None,
     resamples: int = RESAMPLES,
 ) -> Evaluation:
     """Measure and compare the rollouts of several methods.
@@ -346,7 +326,7 @@ def evaluate(
         Of the resampling.
     learner
         The method that the verdict is about; the first by default.
-    floor, references, smoothing
+    floor, references
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
     """
     import pandas as pd
@@ -381,7 +361,6 @@ def evaluate(
             floor=floor,
             baselines={name: r for name, r in rollouts.items() if name != learner},
             references=references,
-            smoothing=smoothing,
         ),
         fingerprint=demos.fingerprint(),
         seed=seed,
@@ -399,7 +378,11 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
         if not len(table.columns):
             continue
         given = table["reason"].fillna("") if "reason" in table else [""] * len(table)
-        reasons = [str(own) or _reason(row) for own, (_, row) in zip(given, table.iterrows())]
+        reasons = []
+        for own, (_, row) in zip(given, table.iterrows()):
+            missing = [str(k) for k, one in row.items() if isinstance(one, float) and np.isnan(one)]
+            why = f"not defined with so few values: {', '.join(missing)}" if missing else ""
+            reasons.append(str(own) or why)
         tidy = table.assign(reason=reasons)
         with write_then_rename(Path(folder) / f"{name}.csv") as part:
             tidy.to_csv(part, index=False)
@@ -408,9 +391,3 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
                 tidy.to_parquet(part, index=False, engine="pyarrow")
             except ImportError as error:
                 raise MissingExtraError("writing Parquet", "algos") from error
-
-
-def _reason(row: Any) -> str:
-    """Why values of a row are missing, where it does not say so itself."""
-    missing = [key for key, value in row.items() if isinstance(value, float) and np.isnan(value)]
-    return f"not defined with so few values: {', '.join(missing)}" if missing else ""

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from animarl_algos.evaluation.comparison import COUNTING
-from animarl_algos.evaluation.metrics import PATH_LENGTH, Metric
+from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -96,11 +96,9 @@ def cue_effects(
     *,
     teams: tuple[Rollouts, Rollouts] | None = None,
     planned: tuple[int, int] | None = None,
-    metric: Metric = PATH_LENGTH,
-    seed: int = 0,
     resamples: int = RESAMPLES,
 ) -> Effects:
-    """Shifts with their truth and their nulls, errors and their differences.
+    """Shifts of path length with their truth and their nulls, errors and their differences.
 
     Parameters
     ----------
@@ -113,7 +111,7 @@ def cue_effects(
     """
     import pandas as pd
 
-    worked = _Effects(demos, metric, teams, planned, Draws(seed, resamples))
+    worked = _Effects(demos, teams, planned, Draws(0, resamples))
     rows = [
         worked.row(RECORDED, MEAN, c, c, counting, worked.recorded(counting, c))
         for counting, c in worked.everything
@@ -131,7 +129,6 @@ def cue_effects(
 @dataclass(frozen=True, eq=False)
 class _Effects:
     demos: Demonstrations
-    metric: Metric
     teams: tuple[Rollouts, Rollouts] | None
     planned: tuple[int, int] | None
     draws: Draws
@@ -144,7 +141,10 @@ class _Effects:
     def method_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
         for counting, c in self.everything:
             factual, flipped = (self.of(side, counting, c) for side in one.trained)
-            predicted, true = minus(flipped, factual), self.true_shift(one, counting, c)
+            truth = None if self.teams is None else Answers(self.teams[c], self.teams[1 - c])
+            truth = truth if one.world is None else Answers(one.trained.factual, one.world)
+            true = NO_TRUTH if truth is None else self.shift(truth, counting, c)
+            predicted = minus(flipped, factual)
             found: dict[str, tuple[int, Cells | str]] = {
                 MEAN: (c, factual),
                 FLIPPED: (1 - c, flipped),
@@ -190,14 +190,6 @@ class _Effects:
             name = f"{first} - {second}"
             yield self.row(name, ERROR_DIFFERENCE, c, c, counting, mine, a.main, value)
 
-    def true_shift(self, one: Asked, counting: str, c: int) -> Cells | str:
-        """What the other condition does from the starts of condition ``c``."""
-        if one.world is not None:
-            return self.shift(Answers(one.trained.factual, one.world), counting, c)
-        if self.teams is not None:
-            return self.shift(Answers(self.teams[c], self.teams[1 - c]), counting, c)
-        return NO_TRUTH
-
     def shift(self, answers: Answers | None, counting: str, c: int) -> Cells | str:
         if answers is None:
             return "not asked"
@@ -210,7 +202,7 @@ class _Effects:
         """The metric by seed and start, of starts of condition ``c``."""
         starts = self.demos.condition == c
         counts = starts[rollouts.demo] & (rollouts.captured | (counting == "all"))
-        values = self.metric.measure(Prepared(self.demos).episodes(rollouts))
+        values = PATH_LENGTH.measure(Prepared(self.demos).episodes(rollouts))
         whole = cells(values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts)
         return Cells(whole.sums[:, starts], whole.counts[:, starts])
 

@@ -7,9 +7,11 @@ left. A measure that an episode is too short for is NaN.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,6 @@ LEAD, DELAYS = 2.0, 10  # by which an animal may lead [s]; delays that are tried
 ROUNDING = 1e-24  # variance that is rounding alone: of a constant speed, which correlates with none
 NEAR_WALL = 0.1  # of the arena's size: so near a wall counts as being at it
 KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
-LENGTH, SPEED, RATE = "arena units", "arena units/s", "rad/s"
 
 
 @dataclass(frozen=True)
@@ -53,56 +54,12 @@ class Measure:
         return said or f"{self.name} too {'high' if more else 'low'}"
 
 
+_, *_ROWS = csv.reader(Path(__file__).with_name("measures.csv").read_text("utf-8").splitlines())
 MEASURES = {
-    one.name: one
-    for one in (
-        Measure("speed", KINEMATIC, SPEED),
-        Measure("spread of speed", KINEMATIC, SPEED),
-        Measure("share at rest", KINEMATIC, "", "rests too much", "rests too little"),
-        Measure("turning", KINEMATIC, RATE, "turns too much", "turns too little"),
-        Measure("turning to the left", KINEMATIC, RATE,
-                "turns too much to the left", "turns too much to the right"),
-        Measure("spread of speed between animals", KINEMATIC, SPEED),
-        Measure("skewness of acceleration", ORDER, "",
-                "starts too abruptly", "stops too abruptly"),
-        Measure("length of bouts of motion", ORDER, "s",
-                "moves too long at a time", "moves too briefly at a time"),
-        Measure("length of rests", ORDER, "s", "rests too long", "rests too briefly"),
-        Measure("speed gained late", ORDER, "", "slows down too little", "slows down too much"),
-        Measure("longest rest", ORDER, "s", "rests too long", "rests too briefly"),
-        Measure("windings", ORDER, "1/s", "walks in circles", "winds too little"),
-        Measure("displacement in", ORDER, LENGTH, "gets too far", "does not get far enough"),
-        Measure("speed autocorrelation at", ORDER, "",
-                "keeps its speed too long", "forgets its speed too soon"),
-        Measure("turn autocorrelation at", ORDER, "",
-                "walks in circles", "forgets its turns too soon"),
-        Measure("speed before turn", ORDER, "",
-                "turns too much after speed", "turns too little after speed"),
-        Measure("course towards the focus", INTERACTIVE, "",
-                "heads too straight for its focus", "heads too little for it"),
-        Measure("course to the left of the focus", INTERACTIVE),
-        Measure("nearest neighbour", INTERACTIVE, LENGTH, "keeps too far apart", "keeps too close"),
-        Measure("spread of the nearest neighbour", INTERACTIVE, LENGTH),
-        Measure("5 % nearest neighbour", INTERACTIVE, LENGTH,
-                "do not come close enough", "come too close"),
-        Measure("polarisation", INTERACTIVE, "", "align too much", "align too little", whole=True),
-        Measure("speed with the others", INTERACTIVE, "",
-                "change speed too much together", "change speed too much alone", whole=True),
-        Measure("speed ahead of the others", INTERACTIVE, whole=True),
-        Measure("extent of the group", INTERACTIVE, LENGTH,
-                "spread too wide", "crowd too much", whole=True),
-        Measure("milling", INTERACTIVE, "", "circle too much about their centre",
-                "circle too little about their centre", whole=True),
-        Measure("leadership lag", INTERACTIVE, "s", "turn too long after each other",
-                "turn too soon after each other", whole=True),
-        Measure("distance from the start", PLACE, LENGTH),
-        Measure("distance from the source", PLACE, LENGTH),
-        Measure("distance from the wall", PLACE, LENGTH),
-        Measure("share at the wall", PLACE, "",
-                "keeps too much to the wall", "keeps too little to the wall"),
-    )
-}  # fmt: skip
-"""By name; the names of those at several lags end in *in* or *at*."""
+    name: Measure(name, kind, unit, much, little, bool(whole))
+    for name, kind, unit, much, little, whole in _ROWS
+}
+"""By name, from ``measures.csv``; the names of those at several lags end in *in* or *at*."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ know (the area under the survival curve).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -23,14 +24,18 @@ from animarl_algos.evaluation.order_in_time import (
     order_measures,
 )
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
-from animarl_algos.evaluation.windows import resting_step, smoothed
+from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.demos.summary import RESTING_SHARE, Unit, unit_of
 from animarl_envs.dtw import dtw_alignment
+from animarl_envs.errors import InputError
 
 REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
+WINDOW = 2.0  # [s]
+NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
+DECIMALS = 9  # [arena unit] of smoothed positions
+HALF_POWER = 0.443  # cutoff of a moving average times its length
 SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a slow one
 
 
@@ -56,15 +61,6 @@ class Prepared:
         """``(individuals,)`` steps up to this length are at rest [arena unit]."""
         return resting_step(self.recorded)
 
-    @cached_property
-    def lags(self) -> tuple[int, ...]:
-        """At which order in time is looked at [steps]."""
-        return lags_for(median_steps(self.recorded), self.recorded.dt)
-
-    @cached_property
-    def slow(self) -> Floats:
-        return slow_speeds(self.recorded)
-
     def episodes(self, rollouts: Rollouts) -> MeasuredEpisodes:
         """Return rollouts as metrics are worked out from them."""
         return MeasuredEpisodes(self, rollouts)
@@ -85,7 +81,8 @@ class Prepared:
     def order(self, rollouts: Rollouts) -> EpisodeMeasures:
         """Order in time, reactions and places of every episode."""
         if rollouts not in self._orders:
-            measured = order_measures(rollouts, self.lags, self.rest, self.demos.arena)
+            lags = lags_for(median_steps(self.recorded), self.recorded.dt)
+            measured = order_measures(rollouts, lags, self.rest, self.demos.arena)
             self._orders[rollouts] = measured
         return self._orders[rollouts]
 
@@ -150,7 +147,7 @@ class MeasuredEpisodes:
         Mean and median speed of single steps [arena unit / s], share of slow steps, and the angle
         between successive steps summed over an episode, divided by its duration [rad/s].
         """
-        rollouts, slow = self.rollouts, self.prepared.slow
+        rollouts, slow = self.rollouts, slow_speeds(self.prepared.recorded)
         found = np.zeros((4, len(rollouts)))
         for i in range(len(rollouts)):
             moved = np.diff(rollouts.path(i), axis=0)
@@ -164,6 +161,89 @@ class MeasuredEpisodes:
 
     def _mean_over_movers(self, values: Floats) -> Floats:
         return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
+
+
+def smoothed(positions: Floats, lengths: Ints, frames: int) -> Floats:
+    """Centred moving average of positions within episodes, over fewer frames towards their ends.
+
+    Over an odd number of ``frames``; 1 leaves the positions ``(frames, individuals, 2)`` as they
+    are. Each average depends on its own frames only, and is rounded: positions on a pixel grid that
+    agreed before still do. (Differences of one running sum over all episodes would carry rounding
+    errors that grow with the size of the set, by which a classifier tells a large set from a small
+    one.)
+    """
+    if frames < 1 or frames % 2 == 0:
+        raise InputError(f"smoothing is over {frames} frames: give an odd number, 1 for none")
+    if frames == 1:
+        return np.asarray(positions)
+    ends = np.cumsum(lengths)
+    last, begin = np.repeat(ends - 1, lengths), np.repeat(ends - lengths, lengths)
+    here = np.arange(len(positions))
+    reach = np.minimum(frames // 2, np.minimum(here - begin, last - here))
+    total = np.array(positions, dtype=np.float64)
+    for offset in range(1, frames // 2 + 1):
+        inside = np.flatnonzero(reach >= offset)
+        total[inside] += positions[inside - offset] + positions[inside + offset]
+    return np.asarray((total / (2 * reach + 1)[:, None, None]).round(DECIMALS))
+
+
+def suggested_smoothing(recorded: Rollouts) -> int:
+    """Frames of the moving average after which tracking noise no longer shows in a step.
+
+    White noise of the positions makes successive accelerations anti-correlated: their covariance
+    at lag one is -4 times its variance, to which damped motion adds little. An average over n
+    frames leaves sqrt(2)/n of it in a step, which may be a fifth of the median moving step; n is
+    at most a quarter of a window.
+    """
+    widest = max(1, round(WINDOW / recorded.dt / 4))
+    noise, step = tracking_noise(recorded), recorded.speeds() * recorded.dt
+    moving = step[step > 0]
+    if noise == 0 or moving.size == 0:
+        return 1
+    needed = int(np.ceil(np.sqrt(2) * noise / (NOISE_SHARE * float(np.median(moving)))))
+    return min(needed | 1, widest - 1 + widest % 2) if needed > 1 else 1
+
+
+def comparison_smoothing(demos: Demonstrations) -> int:
+    """Frames of the moving average that both sides of a comparison go through; 1 for none.
+
+    What tracking noise asks for (:func:`suggested_smoothing`), and where the import low-pass
+    filtered the tracks, an average with the same cutoff: faster motion was taken out of the
+    recordings, so that a simulator cannot learn it.
+    """
+    recipe = demos.provenance.get("recipe")
+    cleaning = recipe.get("cleaning", {}) if isinstance(recipe, Mapping) else {}
+    cutoff = cleaning.get("smoothing_cutoff")
+    filtered = 1
+    if isinstance(cutoff, int | float) and cutoff > 0:
+        filtered = int(np.ceil(HALF_POWER / (cutoff * demos.dt))) | 1
+    return max(filtered, suggested_smoothing(Rollouts.from_demonstrations(demos)))
+
+
+def resting_step(recorded: Rollouts) -> Floats:
+    """Distance within a step below which an individual is at rest ``(individuals,)``.
+
+    It rests where it is slower than 5 % of its 99th percentile [arena unit]. Speed and direction of
+    one at rest are those of rounding and of tracking noise on the one side, of the smallest thrust
+    on the other, which would tell any simulation from any recording.
+    """
+    speeds = recorded.speeds()
+    fast = np.quantile(speeds, 0.99, axis=0)
+    if recorded.is_group:  # animals of a group are alike
+        fast[:] = np.quantile(speeds, 0.99)
+    return np.asarray(RESTING_SHARE * fast * recorded.dt)
+
+
+def tracking_noise(recorded: Rollouts) -> float:
+    """Standard deviation of white noise of the recorded positions, per axis [arena unit]."""
+    products = []
+    for index in range(len(recorded)):
+        bend = np.diff(recorded.path(index), n=2, axis=0)
+        if len(bend) > 1:
+            products.append((bend[1:] * bend[:-1]).ravel())
+    if not products:
+        return 0.0
+    return float(np.sqrt(max(0.0, -np.concatenate(products).mean() / 4.0)))
 
 
 def slow_speeds(recorded: Rollouts) -> Floats:

@@ -186,8 +186,12 @@ def realism(
         if not weights[members].sum() > 0:
             continue
         means = {key: _weighted(each[members], weights[members]) for key, each in columns.items()}
-        score_of = _over_groups(means.pop("score"), group, draws)
-        row = row_of(score_of, component=name, kind=kind, weight=float(weights[members].sum()))
+        row = row_of(
+            over_groups(means.pop("score"), group, draws),
+            component=name,
+            kind=kind,
+            weight=float(weights[members].sum()),
+        )
         rows.append(row | {key: float(np.nanmean(each)) for key, each in means.items()})
     return pd.DataFrame(rows)
 
@@ -324,7 +328,7 @@ def _weighted(scores: Floats, weights: Floats) -> Floats:
     return np.asarray((weights[:, None] * filled).sum(axis=0) / np.where(total, total, np.nan))
 
 
-def _over_groups(scores: Floats, group: Ints, draws: Draws) -> Interval:
+def over_groups(scores: Floats, group: Ints, draws: Draws) -> Interval:
     """Mean over starts, its interval over recordings, between 0 and 1."""
     data = cells(scores, np.zeros(len(scores)), group, int(group.max()) + 1)
     found = bootstrap_mean(data, draws)

@@ -213,14 +213,6 @@ def pooled_score(recorded: ArrayLike) -> float:
 # -- intervals ------------------------------------------------------------------------------------
 
 
-def draw_weights(rng: np.random.Generator, count: int, resamples: int = RESAMPLES) -> Floats:
-    """How often each of ``count`` units is drawn, ``(resamples, count)``; rows sum to ``count``."""
-    drawn = rng.integers(count, size=(resamples, count))
-    place = drawn + count * np.arange(resamples)[:, None]
-    counted = np.bincount(place.ravel(), minlength=resamples * count)
-    return counted.reshape(resamples, count).astype(np.float64)
-
-
 @dataclass(eq=False)
 class Draws:
     """Resamples of any number of demonstrations, the same ones whenever they are asked for."""
@@ -234,9 +226,13 @@ class Draws:
         return rng if isinstance(rng, Draws) else cls(int(rng.integers(2**62)), resamples)
 
     def of(self, count: int) -> Floats:
+        """How often each of ``count`` is drawn, ``(resamples, count)``; rows sum to ``count``."""
         if count not in self._known:
-            rng = np.random.default_rng([self.seed, count])
-            self._known[count] = draw_weights(rng, count, self.resamples)
+            size = (self.resamples, count)
+            place = np.random.default_rng([self.seed, count]).integers(count, size=size)
+            place += count * np.arange(self.resamples)[:, None]
+            counted = np.bincount(place.ravel(), minlength=self.resamples * count)
+            self._known[count] = counted.reshape(size).astype(np.float64)
         return self._known[count]
 
 

@@ -12,11 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animarl_algos.evaluation.classifier import PART, followed, tell_apart
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.classifier import PART, followed, tell_apart, window_features
+from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, resting_step
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.windows import comparison_smoothing, resting_step, window_features
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.custom_species import arena_of

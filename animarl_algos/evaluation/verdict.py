@@ -11,22 +11,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.classifier import (
-    AUC,
-    SEQUENCE,
-    Tracked,
-    judges,
-    read_beside,
-)
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE, Tracked, followed, judges
 from animarl_algos.evaluation.metrics import measures
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -50,7 +44,6 @@ from animarl_algos.evaluation.verdict_rows import (
     Row,
     verdict_rows,
 )
-from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -89,7 +82,7 @@ class Verdict:
         Frames of the moving average that both sides went through.
     areas
         By judge and name the areas that theirs are read beside
-        (:class:`~animarl_algos.evaluation.classifier.Judge`).
+        (:class:`~animarl_algos.evaluation.classifier.Judged`).
     components
         The realism score, see :func:`~animarl_algos.evaluation.realism.realism`.
     importance
@@ -138,16 +131,6 @@ class Verdict:
         total = self.components.iloc[-1]
         return {name: float(total[name]) for name in REFERENCES if name in total}
 
-    @property
-    def among(self) -> Interval:
-        """The classifier's area of recordings among themselves."""
-        return self.areas.get(AUC, {}).get("among", UNDEFINED)
-
-    @property
-    def floor(self) -> Interval:
-        """The classifier's area of closed-loop tracking."""
-        return self.areas.get(AUC, {}).get("floor", UNDEFINED)
-
     def row(self, measure: str) -> dict[str, Any]:
         """The row of one measure, by column."""
         chosen = self.table[self.table["measure"] == measure]
@@ -168,10 +151,10 @@ class Verdict:
         """Read what :meth:`save` wrote."""
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
-        plain["areas"] = {
-            judge: {name: _interval(ends) for name, ends in some.items()}
-            for judge, some in plain["areas"].items()
-        }
+        for some in plain["areas"].values():
+            for name, ends in some.items():
+                value, low, high = (math.nan if end is None else end for end in ends)
+                some[name] = Interval(value, low, high)
         plain |= {"table": read_table(folder / "verdict.csv"), "words": tuple(plain["words"])}
         file = folder / "realism.csv"
         return cls(components=read_table(file) if file.exists() else None, **plain)
@@ -198,13 +181,8 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _interval(ends: Sequence[float | None]) -> Interval:
-    estimate, low, high = (math.nan if end is None else end for end in ends)
-    return Interval(estimate, low, high)
-
-
 def compared(
-    recorded: Demonstrations, rollouts: Rollouts, seed: int, smoothing: int | None
+    recorded: Demonstrations, rollouts: Rollouts, seed: int
 ) -> tuple[Prepared, Rollouts, JointTests, Ints, list[np.random.Generator]]:
     """Recordings and the rollouts that count, their tests, what is resampled, and random streams.
 
@@ -215,26 +193,12 @@ def compared(
             f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
             "compare them with the demonstrations they started from"
         )
-    prepared = Prepared(
-        recorded, comparison_smoothing(recorded) if smoothing is None else smoothing
-    )
+    prepared = Prepared(recorded, comparison_smoothing(recorded))
     names, group = np.unique(recorded.recording, return_inverse=True)
     own = len(names) in (1, len(recorded))
     streams, counted = np.random.default_rng(seed).spawn(7), prepared.counted(rollouts)
     tests = JointTests.of(prepared, counted, None if own else group, streams[0])
     return prepared, counted, tests, np.arange(len(recorded)) if own else group, streams
-
-
-def is_green(recorded: Demonstrations, rollouts: Rollouts, *, seed: int) -> bool:
-    """Return whether :func:`verdict` finds no difference, without all that stands beside it.
-
-    It takes a fraction of the time: what a benchmark of the verdict asks thousands of times.
-    """
-    prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed, None)
-    if tests.differs:
-        return False
-    asked = judges(prepared, counted, {}, None, unit, (*streams[1:3], streams[4]), alone=True)
-    return all(judge.row().judgement == SAME for judge in asked)
 
 
 def verdict(
@@ -245,7 +209,6 @@ def verdict(
     floor: Tracked | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
-    smoothing: int | None = None,
 ) -> Verdict:
     """Judge a method by its rollouts.
 
@@ -269,19 +232,22 @@ def verdict(
         which does not see its neighbours.
     references
         Other recordings, for recordings against recordings; by default halves of ``recorded``.
-    smoothing
-        Frames of a moving average through which all positions go first, 1 for none; by default
-        those of :func:`~animarl_algos.evaluation.windows.comparison_smoothing`.
+
+    All positions go through the moving average of
+    :func:`~animarl_algos.evaluation.prepared.comparison_smoothing` first.
     """
     import pandas as pd
 
     baselines = baselines or {}
-    prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed, smoothing)
+    prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed)
     unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None
-    rows = verdict_rows(prepared, counted, tests, streams[0], unseeing)
-    beside = read_beside(prepared, floor, baselines)
+    rows = verdict_rows(tests, streams[0], unseeing)
+    random = baselines.get("random")
+    sides = {} if random is None else {"ceiling": random.factual(recorded)}
+    sides |= {} if floor is None else {"floor": followed(recorded, floor)}
+    beside = {name: prepared.filtered(one) for name, one in sides.items()}
     asked = [*judges(prepared, counted, beside, references, unit, (*streams[1:3], streams[4]))]
-    rows += [judge.row() for judge in asked]
+    rows += [judge.row for judge in asked]
     others = None
     if references is not None:
         others = prepared.filtered(Rollouts.from_demonstrations(references))
@@ -294,17 +260,19 @@ def verdict(
         words = (WORSE, *words) if farther else words
     table = pd.DataFrame(rows)
     starts = np.unique(counted.demo)
+    numbers = {"test start": len(starts), "recording": len(np.unique(recorded.recording[starts]))}
+    few = [f"{n} {name}{'s' * (n != 1)}" for name, n in numbers.items() if n < FEWEST]
     return Verdict(
         table=table.drop(columns=[name for name in CONTROLS if table[name].isna().all()]),
         words=words,
         learner=rollouts.method,
         starts=len(starts),
         rollouts=int(np.count_nonzero(~counted.copies)),
-        too_little=_too_little(len(starts), len(np.unique(recorded.recording[starts]))),
+        too_little=f"{few[0]}, and {FEWEST} are needed" if few else "",
         smoothing=prepared.smoothing,
-        areas={judge.key: dict(judge.areas) for judge in asked},
+        areas={judge.row.measure: dict(judge.areas) for judge in asked},
         components=components,
-        importance=asked[0].simulated.importance,
+        importance=asked[0].importance,
     )
 
 
@@ -321,13 +289,6 @@ def _overall(rows: list[Row]) -> tuple[str, ...]:
         if plain or rest:
             return tuple(dict.fromkeys(plain.values())) or tuple(rest)
     return (SAME,)
-
-
-def _too_little(starts: int, recordings: int) -> str:
-    for number, name in ((starts, "test start"), (recordings, "recording")):
-        if number < FEWEST:
-            return f"{number} {name}{'s' * (number != 1)}, and {FEWEST} are needed"
-    return ""
 
 
 def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:

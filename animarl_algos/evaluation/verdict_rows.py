@@ -2,27 +2,32 @@
 
 Rows have one type, :class:`Row`. A row is not distinguishable from the recordings, differs by
 little (``LITTLE``, ``LITTLE_SHARE``), differs, or has too little data to say. What is chance and
-what is not is decided by :func:`~animarl_algos.evaluation.exchange_test.exchange_test` over all
-measures of all rows together, so that more rows are no more false alarms.
+what is not is decided by :func:`exchange_test` over all measures of all rows together, so that more
+rows are no more false alarms.
+
+If a simulator is perfect, the recording of a start is one more rollout of it. So the null of any
+statistic is found by exchanging, start by start, the recording with one of the episodes from there:
+an exact permutation test. Who acts by a fixed rule in a world without chance does the same from a
+start however often it is let go; such copies are one rollout.
+
+Differences are studentised in every exchange (Chung and Romano 2013, Ann. Stat. 41, 484): where few
+rollouts are far off, as those of animals that freeze, the recordings alone have a small error, and
+those of an exchange a large one. Of several measures the statistic is the largest such difference
+(maxT; Westfall and Young 1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). So
+a perfect simulator has no measure below .05 in 95 % of experiments, however many measures there are
+and however they depend on each other.
 """
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.exchange_test import (
-    Exchanges,
-    ExchangeTest,
-    Tested,
-    exchange_test,
-    least_p,
-)
 from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, judged_metrics, measures
 from animarl_algos.evaluation.order_in_time import (
     INTERACTIVE,
@@ -48,13 +53,17 @@ from animarl_algos.evaluation.statistics import (
     covers,
     energy_scores,
     pooled_score,
+    row_of,
 )
 from animarl_envs.demos.episode import UNFINISHED
-from animarl_envs.demos.summary import Unit
+from animarl_envs.errors import InputError
 
 SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
     "not distinguishable", "differs, but by little", "differs", "too little data to say",
 )  # fmt: skip
+EXCHANGES = 1000
+CHANCE = 0.05
+FLOOR = 0.1  # of the mean variance over exchanges: no standard error is much smaller
 LEVEL = 0.03  # of all measures together
 ENDINGS_LEVEL = 0.01  # of the endings together
 LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
@@ -69,6 +78,200 @@ KINDS = {
 }
 """Rows of several measures each; the one that differs most stands for them."""
 MOST_PHRASES = 4  # of one row
+
+
+# -- one test for all measures --------------------------------------------------------------------
+
+
+class Tested(NamedTuple):
+    """A statistic that is zero where nothing differs, beside its null.
+
+    ``null`` is the null's 95 % quantile and ``p`` the share of the null, the value included, that
+    is at least as large.
+    """
+
+    value: float
+    null: float
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class Exchanges:
+    """Which episode of every start is called the recorded one.
+
+    Both are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth. Episodes
+    are the recordings in their order, then the rollouts in theirs, without those that do not count.
+    """
+
+    recorded: Floats
+    simulated: Floats
+
+    @classmethod
+    def draw(
+        cls,
+        demo: ArrayLike,
+        starts: int,
+        rng: np.random.Generator,
+        exchanges: int = EXCHANGES,
+        *,
+        copies: ArrayLike | None = None,
+    ) -> Exchanges:
+        """Exchanges for rollouts from the starts ``demo`` ``(rollouts,)``.
+
+        ``copies`` ``(rollouts,)`` marks those that repeat an earlier one, see
+        :attr:`~animarl_algos.evaluation.rollouts.Rollouts.copies`; by default none does.
+        """
+        demo = np.asarray(demo)
+        if len(demo) == 0 or demo.min() < 0 or demo.max() >= starts:
+            raise InputError(f"rollouts must start from recordings 0 to {starts - 1}")
+        start = np.concatenate([np.arange(starts), demo])
+        recorded, simulated = np.zeros((2, 1 + exchanges, len(start)))
+        rows = np.arange(1 + exchanges)
+        counts = np.ones(len(start), dtype=bool)
+        if copies is not None:
+            counts[starts:] = ~np.asarray(copies)
+        for one in np.unique(demo):
+            members = np.flatnonzero((start == one) & counts)  # the recording is the first
+            chosen = rng.integers(len(members), size=1 + exchanges)
+            chosen[0] = 0
+            simulated[:, members] = 1.0
+            recorded[rows, members[chosen]] = 1.0
+            simulated[rows, members[chosen]] = 0.0
+        return cls(recorded, simulated)
+
+    def chi_squared(self, category: ArrayLike) -> Tested:
+        """Pearson's statistic of categories by recorded and simulated, however small the counts."""
+        category = np.asarray(category)
+        sides = self.simulated, self.recorded
+        sizes = [side.sum(axis=1) for side in sides]
+        total = np.zeros(len(self.recorded))
+        for one in np.unique(category):
+            counts = [side @ (category == one) for side in sides]
+            share = sum(counts) / sum(sizes)
+            for count, size in zip(counts, sizes):
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    total += np.where(share > 0, (count - size * share) ** 2 / (size * share), 0.0)
+        at_least = int(np.count_nonzero(total[1:] >= total[0] * (1 - 1e-9) - 1e-12))
+        null = float(np.quantile(total[1:], 1 - CHANCE))
+        return Tested(float(total[0]), null, (1 + at_least) / len(total))
+
+
+@dataclass(frozen=True)
+class ExchangeTest:
+    """What the joint test found, all ``(measures,)`` but the ``level`` at which measures differ.
+
+    Means of recordings and of rollouts, where every start counts alike; their studentised
+    difference in standard deviations of its null (``statistic``); p corrected for the number of
+    measures (NaN where one is undefined); and how far apart means of this
+    spread may be by chance over all measures together (``null``).
+    """
+
+    recorded: Floats
+    simulated: Floats
+    statistic: Floats
+    adjusted_p: Floats
+    null: Floats
+    level: float = CHANCE
+
+    @property
+    def p(self) -> float:
+        """Of the global test: the least adjusted p."""
+        return self.least_p(slice(None))
+
+    def least_p(self, places: slice | list[int] | Ints) -> float:
+        """Return the least adjusted p of some measures, NaN where none is defined."""
+        p = self.adjusted_p[places]
+        return float(np.nanmin(p)) if np.isfinite(p).any() else math.nan
+
+    @property
+    def differs(self) -> NDArray[np.bool_]:
+        """Which measures differ at the level of all measures together."""
+        return np.asarray(self.adjusted_p <= self.level)
+
+
+def exchange_test(
+    values: Floats,
+    exchanges: Exchanges,
+    *,
+    level: float = CHANCE,
+    start: Ints | None = None,
+    group: Ints | None = None,
+    rng: np.random.Generator | None = None,
+) -> ExchangeTest:
+    """Test all measures together.
+
+    Parameters
+    ----------
+    values
+        ``(episodes, measures)``: recordings in their order, then rollouts in theirs. NaN where a
+        measure is undefined in an episode, which then does not count.
+    exchanges, level
+        The null, and the level at which measures are said to differ.
+    start, group, rng
+        Where several recordings are of one animal: ``(episodes,)`` start of each episode, and
+        ``(starts,)`` the animal of each. The null then turns the sign of all differences of an
+        animal together (a sign-flip test), as what its recordings have in common is no evidence
+        beyond one animal.
+    """
+    known = np.isfinite(values)
+    filled = np.where(known, values, 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = [
+            side @ filled / (side @ known) for side in (exchanges.recorded, exchanges.simulated)
+        ]
+        gap = means[1] - means[0]
+        scale = _standard_errors(filled, known, exchanges, means)
+        if start is not None and group is not None and rng is not None:
+            gap, scale = _flipped_gaps(values, exchanges, start, group, rng), np.ones_like(gap)
+        # Differences of rounding only are none.
+        tiny = 1e-9 * np.maximum(np.nanmax(np.abs(filled), axis=0), 1e-300)
+        some = np.isfinite(gap[1:]).any(axis=0)  # episodes may be too short for a measure
+        varies = np.nanstd(np.where(some, gap[1:], 0.0), axis=0) > tiny
+        studentised = gap / np.where(varies, scale, 1.0)
+        spread = np.nanstd(np.where(varies, studentised[1:], 0.0), axis=0)
+        scaled = np.where(varies, studentised / np.where(varies, spread, 1.0), np.nan)
+    size = np.abs(scaled)
+    defined = np.isfinite(size[0])
+    adjusted, null = np.full((2, values.shape[1]), np.nan)
+    if defined.any():
+        largest = np.nanmax(size[1:, defined], axis=1)
+        reached = largest[:, None] >= size[0, defined] * (1 - 1e-9)
+        adjusted[defined] = (1 + reached.sum(axis=0)) / (1 + len(largest))
+        null = np.where(defined, scale[0] * spread * np.quantile(largest, 1 - level), np.nan)
+    return ExchangeTest(means[0][0], means[1][0], scaled[0], adjusted, null, level)
+
+
+def _standard_errors(
+    filled: Floats, known: NDArray[np.bool_], exchanges: Exchanges, means: list[Floats]
+) -> Floats:
+    """Standard errors of the difference of both means, ``(1 + exchanges, measures)``, after Welch.
+
+    A share (``FLOOR``) of the mean variance is added, as the values of few recordings may be alike.
+    """
+    square = np.zeros(means[0].shape)
+    for side, mean in zip((exchanges.recorded, exchanges.simulated), means):
+        number = side @ known
+        square = square + np.maximum(side @ filled**2 / number - mean**2, 0.0) / number
+    return np.asarray(np.sqrt(square + FLOOR * np.nan_to_num(square[1:]).mean(axis=0)))
+
+
+def _flipped_gaps(
+    values: Floats, exchanges: Exchanges, start: Ints, group: Ints, rng: np.random.Generator
+) -> Floats:
+    """Return the mean difference, then those with the signs of whole animals turned."""
+    starts = len(group)
+    known = np.isfinite(values) & (exchanges.simulated[0] > 0)[:, None]
+    owner = np.zeros((starts, len(values)))
+    owner[start, np.arange(len(values))] = 1.0
+    rollouts = owner @ np.where(known, values, 0.0) / (owner @ known)
+    apart = rollouts - np.where(exchanges.recorded[0, :starts, None] > 0, values[:starts], np.nan)
+    there = np.isfinite(apart)
+    signs = rng.choice([-1.0, 1.0], size=(len(exchanges.recorded), int(group.max()) + 1))
+    signs[0] = 1.0
+    return np.asarray(signs[:, group] @ np.where(there, apart, 0.0) / there.sum(axis=0))
+
+
+# -- rows -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,41 +311,18 @@ class Row:
     blind: float = math.nan
 
 
-def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
-    """What is tested together, of recordings and then of rollouts.
-
-    Metrics, the spread of those that have one (both without a kind), and order in time.
-    """
-    sides = (prepared.recorded, counted)
-    true, simulated = (measures(prepared, side) for side in sides)
-    names, columns = [], []
-    alone = np.concatenate([np.ones(len(sides[0]), dtype=bool), ~counted.copies])
-    metrics = judged_metrics(prepared.demos)
-    for metric in metrics:
-        both = np.concatenate([true[metric.key], simulated[metric.key]])
-        if _is_censored(metric, prepared):
-            both = -log_rank_scores(both, np.concatenate([has_ended(side) for side in sides]))
-        names.append(metric.key)
-        columns.append(both)
-        if metric.noun:
-            names.append(_spread(metric))
-            columns.append(np.abs(both - np.median(both[alone])))
-    order = prepared.order(sides[0])
-    own = {metric.of_order for metric in metrics}  # these have rows of their own
-    rest = [i for i, name in enumerate(order.names) if name not in own]
-    later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
-    tested = *(Measure(name, "") for name in names), *(order.measures[i] for i in rest)
-    return EpisodeMeasures(tested, np.concatenate([np.stack(columns, axis=1), later], axis=1))
-
-
 @dataclass(frozen=True)
 class JointTests:
     """The joint test of all measures, and that of the endings.
 
-    ``counted`` are the rollouts that count, smoothed as the recordings; ``group`` ``(starts,)`` is
-    the recording of each start, where several starts are of one.
+    ``counted`` are the rollouts that count, smoothed as the recordings, ``metrics`` the judged
+    ones of both sides. Tested together are the ``columns``: metrics, the spread of those that have
+    one (both without a kind), and order in time, of recordings and then of rollouts.
     """
 
+    prepared: Prepared
+    counted: Rollouts
+    metrics: tuple[Mapping[str, Floats], Mapping[str, Floats]]
     columns: EpisodeMeasures
     test: ExchangeTest
     ends: tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -152,36 +332,58 @@ class JointTests:
     def of(
         cls, prepared: Prepared, counted: Rollouts, group: Ints | None, rng: np.random.Generator
     ) -> JointTests:
-        columns, starts = measure_columns(prepared, counted), len(prepared.recorded)
+        """Test; ``group`` ``(starts,)`` is the recording of each start, where some share one."""
+        sides, starts = (prepared.recorded, counted), len(prepared.recorded)
+        measured = (measures(prepared, sides[0]), measures(prepared, counted))
+        ended = np.concatenate([has_ended(side) for side in sides])
+        alone = np.concatenate([np.ones(starts, dtype=bool), ~counted.copies])
+        columns, own = dict[str, Floats](), set()  # order that has rows of its own
+        for metric in judged_metrics(prepared.demos):
+            both = np.concatenate([side[metric.key] for side in measured])
+            both = -log_rank_scores(both, ended) if _is_censored(metric, prepared) else both
+            columns[metric.key] = both
+            if metric.noun:
+                columns[_spread(metric)] = np.abs(both - np.median(both[alone]))
+            own.add(metric.of_order)
+        order = prepared.order(sides[0])
+        rest = [i for i, name in enumerate(order.names) if name not in own]
+        later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
+        tested = *(Measure(name, "") for name in columns), *(order.measures[i] for i in rest)
+        values = np.concatenate([np.stack([*columns.values()], axis=1), later], axis=1)
         exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
         start = np.concatenate([np.arange(starts), counted.demo])
-        test = exchange_test(
-            columns.values, exchanges, level=LEVEL, start=start, group=group, rng=rng
-        )  # fmt: skip
+        test = exchange_test(values, exchanges, level=LEVEL, start=start, group=group, rng=rng)
         ends = ending(prepared.recorded), ending(counted)
-        return cls(columns, test, ends, exchanges.chi_squared(np.concatenate(ends)))
+        endings = exchanges.chi_squared(np.concatenate(ends))
+        found = EpisodeMeasures(tested, values)
+        return cls(prepared, counted, measured, found, test, ends, endings)
 
     @property
     def differs(self) -> bool:
         """Whether any measure differs, or the endings do."""
         return bool(self.test.differs.any()) or self.endings.p <= ENDINGS_LEVEL
 
+    @property
+    def can_end(self) -> bool:
+        """Whether episodes end by themselves on either side, not with the film alone."""
+        sides = (self.prepared.recorded, self.counted)
+        return self.prepared.demos.has_goal or any(has_ended(side).any() for side in sides)
+
+    def gap(self, place: int) -> float:
+        """Return how far apart both sides are in a column."""
+        return abs(float(self.test.simulated[place] - self.test.recorded[place]))
+
 
 def verdict_rows(
-    prepared: Prepared,
-    counted: Rollouts,
-    tests: JointTests,
-    rng: np.random.Generator,
-    blind: Rollouts | None = None,
+    tests: JointTests, rng: np.random.Generator, blind: Rollouts | None = None
 ) -> list[Row]:
     """Return the rows of endings, of motion and of order; ``blind`` are a group's control."""
-    columns, test = tests.columns, tests.test
-    can_end = _can_end(prepared, counted)
-    rows = [_endings_row(tests, np.unique(counted.demo))] if can_end else []
-    controls = _strangers(prepared), {} if blind is None else measures(prepared, blind)
-    rows += _metric_rows(prepared, counted, tuple(columns.names), test, rng, controls)
-    found = [kind for kind in KINDS if kind in columns.kinds]
-    return rows + [_kind_row(kind, columns, test, prepared.unit) for kind in found]
+    kinds = [kind for kind in KINDS if kind in tests.columns.kinds]
+    return [
+        *([_endings_row(tests, np.unique(tests.counted.demo))] if tests.can_end else []),
+        *_metric_rows(tests, rng, blind),
+        *(_kind_row(kind, tests) for kind in kinds),
+    ]
 
 
 def _endings_row(tests: JointTests, starts: Ints) -> Row:
@@ -196,32 +398,22 @@ def _endings_row(tests: JointTests, starts: Ints) -> Row:
             judgement = BY_LITTLE
             words = f"{BY_LITTLE}: endings differ in {100 * moved:.2g} % of episodes"
     return Row(
-        measure=OUTCOMES,
-        label="Endings together (chi-squared)",
-        value=tested.value,
-        distance=tested.value,
-        null=tested.null,
-        p=tested.p,
-        judgement=judgement,
-        verdict=words,
-        reason="a test: no interval",
-    )
+        measure=OUTCOMES, label="Endings together (chi-squared)", judgement=judgement,
+        verdict=words, distance=tested.value, reason="a test: no interval", **tested._asdict(),
+    )  # fmt: skip
 
 
 def _metric_rows(
-    prepared: Prepared,
-    counted: Rollouts,
-    names: tuple[str, ...],
-    test: ExchangeTest,
-    rng: np.random.Generator,
-    controls: tuple[Mapping[str, Floats], Mapping[str, Floats]],
+    tests: JointTests, rng: np.random.Generator, blind: Rollouts | None
 ) -> Iterator[Row]:
+    prepared, counted, test, names = tests.prepared, tests.counted, tests.test, tests.columns.names
     starts = np.unique(counted.demo)
-    true, simulated = (measures(prepared, side) for side in (prepared.recorded, counted))
-    endless, (alone, blind) = not _can_end(prepared, counted), controls
+    controls = {"strangers": _strangers(prepared)}
+    controls["blind"] = {} if blind is None else measures(prepared, blind)
     for metric in judged_metrics(prepared.demos):
-        a, b = true[metric.key], simulated[metric.key]
-        if (metric.is_ending and not (a.any() or b.any())) or (metric is DURATION and endless):
+        a, b = (side[metric.key] for side in tests.metrics)
+        nobody = metric.is_ending and not (a.any() or b.any())
+        if nobody or (metric is DURATION and not tests.can_end):
             continue
         many = cells(b, counted.seed, counted.demo, len(a))
         one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
@@ -234,58 +426,40 @@ def _metric_rows(
             spread = names.index(_spread(metric))
             p = np.nan_to_num(test.adjusted_p, nan=1.0)
             worst = spread if p[spread] < p[place] else place
-        judgement, words = _judge_metric(metric, test, recorded, drawn, worst, worst != place)
-        spread_too = {}
+        more = bool(test.statistic[worst] > 0)
+        wrong, size = metric.words[0 if more else 1], abs(drawn - recorded)
+        if worst != place:
+            wrong = f"{metric.noun} {'too varied' if more else 'too much alike'}"
+            size = tests.gap(worst)
+        allowed = LITTLE_SHARE if metric.share else LITTLE * abs(recorded)
+        judgement = words = SAME
+        if test.differs[worst] and size > (allowed if metric.unit else max(allowed, LITTLE_SHARE)):
+            judgement, words = DIFFERS, wrong
+        elif test.differs[worst]:
+            points = f"{100 * size:.2g} percentage points"
+            by = points if metric.share else f"{100 * size / abs(recorded):.2g} %"
+            judgement, words = BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}"
+        more_columns: dict[str, Any] = {}
         if metric.noun:
             scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
-            spread_too = {
-                "energy": float(np.mean(scores)),
-                "energy_pooled": pooled_score(a[starts]),
-            }
+            more_columns |= {"energy": float(np.mean(scores))}
+            more_columns |= {"energy_pooled": pooled_score(a[starts])}
+        if metric.about == GROUP:
+            known = {name: side[metric.key] for name, side in controls.items() if side}
+            known = {name: values[np.isfinite(values)] for name, values in known.items()}
+            more_columns |= {name: float(v.mean()) for name, v in known.items() if len(v)}
         yield Row(
-            measure=metric.key,
-            label=metric.label,
-            unit=metric.unit.replace("arena units", prepared.unit.name),
-            recorded=recorded,
-            simulated=drawn,
-            value=gap.estimate,
-            low=gap.low,
-            high=gap.high,
-            distance=_gap(test, worst),
-            null=float(test.null[worst]),
-            p=least_p(test.adjusted_p[[place, worst]]),
-            judgement=judgement,
-            verdict=words,
-            covers=covers(many),
-            reason=gap.reason,
-            strangers=_known_mean(alone[metric.key]) if metric.about == GROUP else math.nan,
-            blind=_known_mean(blind[metric.key]) if metric.about == GROUP and blind else math.nan,
-            **spread_too,
-        )
+            **row_of(gap, measure=metric.key, label=metric.label, judgement=judgement),
+            unit=metric.unit.replace("arena units", prepared.unit.name), verdict=words,
+            recorded=recorded, simulated=drawn, distance=tests.gap(worst),
+            null=float(test.null[worst]), p=test.least_p([place, worst]), covers=covers(many),
+            **more_columns,
+        )  # fmt: skip
 
 
-def _judge_metric(
-    metric: Metric, test: ExchangeTest, recorded: float, drawn: float, worst: int, by_spread: bool
-) -> tuple[str, str]:
-    """Return the judgement and its words, by the column ``worst``: the mean's, or the spread's."""
-    if not test.differs[worst]:
-        return SAME, SAME
-    more = bool(test.statistic[worst] > 0)
-    much, little = metric.words
-    wrong, size = much if more else little, abs(drawn - recorded)
-    if by_spread:
-        wrong = f"{metric.noun} {'too varied' if more else 'too much alike'}"
-        size = _gap(test, worst)
-    allowed = LITTLE_SHARE if metric.share else LITTLE * abs(recorded)
-    if size > (allowed if metric.unit else max(allowed, LITTLE_SHARE)):
-        return DIFFERS, wrong
-    points = f"{100 * size:.2g} percentage points"
-    by = points if metric.share else f"{100 * size / abs(recorded):.2g} %"
-    return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}"
-
-
-def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit) -> Row:
+def _kind_row(kind: str, tests: JointTests) -> Row:
     """Return the row of all measures of a kind; the one that differs most speaks for it."""
+    columns, test, own = tests.columns, tests.test, tests.prepared.unit
     members = np.flatnonzero(np.array(columns.kinds) == kind)
     size = np.abs(test.statistic[members])
     if not np.isfinite(size).any():
@@ -310,19 +484,11 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest, own: Unit
         judgement = DIFFERS if (gaps > allowed).any() else BY_LITTLE
         words = words if judgement == DIFFERS else f"{BY_LITTLE}: {words}"
     return Row(
-        measure=kind,
-        label=f"{KINDS[kind]}: {name}",
-        unit=unit,
-        recorded=recorded,
-        simulated=simulated,
-        value=simulated - recorded,
-        distance=scale * _gap(test, worst),
-        null=scale * float(test.null[worst]),
-        p=least_p(test.adjusted_p[members]),
-        judgement=judgement,
-        verdict=words,
-        reason="one of several measures: no interval",
-    )
+        measure=kind, label=f"{KINDS[kind]}: {name}", unit=unit, recorded=recorded,
+        simulated=simulated, value=simulated - recorded, distance=scale * tests.gap(worst),
+        null=scale * float(test.null[worst]), p=test.least_p(members), judgement=judgement,
+        verdict=words, reason="one of several measures: no interval",
+    )  # fmt: skip
 
 
 def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tuple[float, float]:
@@ -337,7 +503,7 @@ def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tupl
     return first, second
 
 
-def _strangers(prepared: Prepared) -> Mapping[str, Floats]:
+def _strangers(prepared: Prepared) -> dict[str, Floats]:
     """Return the metrics of groups put together of animals that never met.
 
     Each goes where it went, in another episode than its neighbours: what animals of the same
@@ -345,7 +511,7 @@ def _strangers(prepared: Prepared) -> Mapping[str, Floats]:
     """
     recorded, count = prepared.recorded, len(prepared.recorded)
     if not recorded.is_group or count < 2:
-        return defaultdict(lambda: np.array([math.nan]))
+        return {}
     paths = []
     for i in range(count):
         each = [recorded.path((i + k) % count)[:, k] for k in range(recorded.num_individuals)]
@@ -356,24 +522,9 @@ def _strangers(prepared: Prepared) -> Mapping[str, Floats]:
     return measures(prepared, mixed)
 
 
-def _known_mean(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else math.nan
-
-
-def _can_end(prepared: Prepared, counted: Rollouts) -> bool:
-    """Whether episodes end by themselves on either side, not with the film alone."""
-    sides = (prepared.recorded, counted)
-    return prepared.demos.has_goal or any(has_ended(side).any() for side in sides)
-
-
 def _is_censored(metric: Metric, prepared: Prepared) -> bool:
     return metric is DURATION and bool((prepared.recorded.outcome == UNFINISHED).any())
 
 
 def _spread(metric: Metric) -> str:
     return f"spread of {metric.key}"
-
-
-def _gap(test: ExchangeTest, place: int) -> float:
-    return abs(float(test.simulated[place] - test.recorded[place]))

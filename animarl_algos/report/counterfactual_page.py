@@ -16,11 +16,12 @@ from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval, cells
 from animarl_algos.report import figures, style
-from animarl_algos.report.inputs import PageInputs
+from animarl_algos.report.inputs import PageInputs, provenance
 from animarl_algos.report.page import (
     Block,
     Gallery,
     Page,
+    Player,
     Section,
     Sentences,
     Table,
@@ -29,7 +30,6 @@ from animarl_algos.report.page import (
 )
 from animarl_algos.report.player import (
     STARTS,
-    Player,
     Scene,
     at_ranks,
     middles,
@@ -38,7 +38,6 @@ from animarl_algos.report.player import (
     track,
     view,
 )
-from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import Image, method_label, to_image
 from animarl_algos.report.words import MINUS, capitalised, pick, scaled, with_interval
 from animarl_envs.species import Species
@@ -230,9 +229,6 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
                 colours=colours,
             )  # fmt: skip
             yield to_image(figure, f"Predicted and true shifts of the path length, {flip}")
-
-
-# -- the player -----------------------------------------------------------------------------------
 
 
 def _player(inputs: CounterfactualInputs) -> Player:

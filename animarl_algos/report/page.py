@@ -23,8 +23,6 @@ from animarl_envs.files import write_then_rename
 if TYPE_CHECKING:
     import pandas as pd
 
-    from animarl_algos.report.player import Player
-
 TEMPLATES = Path(__file__).parent / "templates"
 SCRIPTS = (
     "themes.js", "tables.js", "downloads.js", "paths.js", "stage.js", "player.js", "start.js",
@@ -152,6 +150,14 @@ class Lead:
     headline: str
     details: Sequence[str]
     cautions: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Player:
+    """What the script of the page plays, as plain data; ``caption`` says what it is."""
+
+    data: dict[str, Any]
+    caption: str
 
 
 @dataclass(frozen=True, kw_only=True)

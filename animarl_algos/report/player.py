@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_algos.evaluation.metrics import DTW
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report import style
+from animarl_algos.report.figures import Stage, view_of
 from animarl_algos.report.inputs import PageInputs, ReportInputs
-from animarl_algos.report.path_figures import Stage, view_of
+from animarl_algos.report.page import Player
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import capitalised
 from animarl_envs.demos.summary import outcome_name
@@ -40,14 +40,6 @@ class Scene(NamedTuple):
 
     title: str
     tracks: dict[str, Track]
-
-
-@dataclass(frozen=True, eq=False)
-class Player:
-    """What the script of the page plays, as plain data; ``caption`` says what it is."""
-
-    data: dict[str, Any]
-    caption: str
 
 
 def run_player(inputs: ReportInputs) -> Player:
@@ -80,7 +72,14 @@ def play(
         "views": list(views),
         "scenes": [_packed(scene, stage, stride) for scene in scenes],
     }
-    return Player(data, inputs.words.say(said) + _surroundings(stage))
+    walls = "The dashed outline is the edge of the field; there is no wall."
+    if stage.arena.shape == "open":
+        walls = "The field is open."
+    elif stage.arena.rebound:
+        walls = "The outline is a wall."
+    near = "The dotted ring shows how near is contact; it is drawn thick while there is any."
+    around = walls if stage.contact_radius is None else f"{walls} {near}"
+    return Player(data, f"{inputs.words.say(said)} {around}")
 
 
 def view(
@@ -150,20 +149,6 @@ def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
 def of_starts(count: int, chosen: str) -> str:
     """Return what is said of so many scenes, and how they were chosen."""
     return f"{count} test starts, all different, {chosen}."
-
-
-def _surroundings(stage: Stage) -> str:
-    if stage.arena.shape == "open":
-        walls = "The field is open."
-    elif stage.arena.rebound:
-        walls = "The outline is a wall."
-    else:
-        walls = "The dashed outline is the edge of the field; there is no wall."
-    near = "The dotted ring shows how near is contact; it is drawn thick while there is any."
-    return f" {walls}{'' if stage.contact_radius is None else f' {near}'}"
-
-
-# -- which rollouts are shown ---------------------------------------------------------------------
 
 
 def at_ranks(values: ArrayLike, starts: ArrayLike, quantiles: Sequence[float]) -> NDArray[np.int64]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,39 +16,32 @@ from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Floats, Interval
 from animarl_algos.evaluation.verdict import implausible
 from animarl_algos.report import figures
-from animarl_algos.report.inputs import ReportInputs
-from animarl_algos.report.page import (
-    Block,
-    Gallery,
-    Lead,
-    Page,
-    Section,
-    Text,
-    write_page,
-)
-from animarl_algos.report.path_figures import path_panels
+from animarl_algos.report.figures import path_panels
+from animarl_algos.report.inputs import ReportInputs, provenance
+from animarl_algos.report.page import Block, Gallery, Page, Section, Text, write_page
 from animarl_algos.report.player import examples, factual_rollouts, run_player
-from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import Image, method_label, to_image
 from animarl_algos.report.verdict_section import comparison_as_table, verdict_blocks, verdict_lead
-from animarl_algos.report.words import (
-    NOTHING,
-    cautions,
-    number,
-    pick,
-    scaled,
-)
+from animarl_algos.report.words import NOTHING, cautions, number, pick, scaled
 
 if TYPE_CHECKING:
     import pandas as pd
 
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the DTW distance, for the examples
-Column = Callable[[Any], str]
 
 
 def run_page(inputs: ReportInputs) -> Page:
     """Return the page: the verdict and the player, then every section that has blocks."""
-    demos = inputs.demos
+    demos, evaluation = inputs.demos, inputs.evaluation
+    found = evaluation.verdict
+    said = [*map(inputs.words.say, implausible(found)), *inputs.warnings]
+    said += cautions(evaluation.comparison, inputs.learner, demos.synthetic)
+    episodes = [(f"{split} episodes", str(count)) for split, count in inputs.episodes.items()]
+    statistics = [
+        ("resamples of means and differences", f"{evaluation.resamples:,}"),
+        ("seed of the resampling", str(evaluation.seed)),
+        ("training seeds", ", ".join(map(str, inputs.seeds)) or "not given"),
+    ]
     crossed = f", cross-validated in {inputs.folds} folds" if inputs.folds else ""
     facts = [
         ("Species", demos.species),
@@ -61,30 +54,25 @@ def run_page(inputs: ReportInputs) -> Page:
         kind="Simulation report",
         synthetic=demos.synthetic,
         facts=facts + ([("Made", inputs.created)] if inputs.created else []),
-        lead=_lead(inputs),
+        lead=verdict_lead(found, inputs.words, list(dict.fromkeys(said))),
         player=run_player(inputs),
         sections=[
-            Section(anchor, title, list(make(inputs)), FOLDED.get(anchor, ""))
-            for anchor, title, make in SECTIONS
+            Section("verdict", "Verdict", list(verdict_blocks(found, inputs.words))),
+            Section("trajectories", "Trajectories", list(_trajectories(inputs))),
+            Section("distributions", "Speeds and distances", list(_distributions(inputs))),
+            Section("metrics", "Metrics", list(_metrics(inputs))),
+            Section(
+                "provenance", "How this was made",
+                list(provenance(inputs, "run", episodes, statistics)),
+                "Command, settings, machine, versions",
+            ),
         ],
-    )
+    )  # fmt: skip
 
 
 def write_report(inputs: ReportInputs, out: str | Path) -> Path:
     """Write the report to ``out``, whole or not at all, and return the path."""
     return write_page(run_page(inputs), Path(out))
-
-
-def _lead(inputs: ReportInputs) -> Lead:
-    """The verdict, and what limits it."""
-    evaluation, say = inputs.evaluation, inputs.words.say
-    limits = cautions(evaluation.comparison, inputs.learner, inputs.demos.synthetic)
-    doubtful = map(say, implausible(evaluation.verdict))
-    said = dict.fromkeys([*doubtful, *inputs.warnings, *limits])
-    return verdict_lead(evaluation.verdict, inputs.words, list(said))
-
-
-# -- what the simulation looks like ---------------------------------------------------------------
 
 
 def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
@@ -158,9 +146,6 @@ def _distributions(inputs: ReportInputs) -> Iterator[Block]:
     )
 
 
-# -- metrics --------------------------------------------------------------------------------------
-
-
 def _metrics(inputs: ReportInputs) -> Iterator[Block]:
     evaluation, say = inputs.evaluation, inputs.words.say
     yield Text(
@@ -220,34 +205,3 @@ def _metric_images(inputs: ReportInputs, metric: Metric) -> Iterator[Image]:
 def countings(table: pd.DataFrame) -> dict[str, str]:
     """Return the rules of what counts that a table has rows of."""
     return {rule: title for rule, title in COUNTING.items() if (table["counting"] == rule).any()}
-
-
-# -- where it comes from --------------------------------------------------------------------------
-
-
-def _provenance(inputs: ReportInputs) -> Iterator[Block]:
-    evaluation = inputs.evaluation
-    return provenance(
-        inputs,
-        "run",
-        [(f"{split} episodes", str(count)) for split, count in inputs.episodes.items()],
-        [
-            ("resamples of means and differences", f"{evaluation.resamples:,}"),
-            ("seed of the resampling", str(evaluation.seed)),
-            ("training seeds", ", ".join(map(str, inputs.seeds)) or "not given"),
-        ],
-    )
-
-
-SECTIONS: tuple[tuple[str, str, Callable[[ReportInputs], Iterator[Block]]], ...] = (
-    ("verdict", "Verdict", lambda i: verdict_blocks(i.evaluation.verdict, i.words)),
-    ("trajectories", "Trajectories", _trajectories),
-    ("distributions", "Speeds and distances", _distributions),
-    ("metrics", "Metrics", _metrics),
-    ("provenance", "How this was made", _provenance),
-)
-"""Anchor and title of every section, and what yields its blocks."""
-FOLDED = {
-    "provenance": "Command, settings, machine, versions",
-}
-"""What a reader clicks to see a section."""

@@ -127,13 +127,9 @@ def themed(drawing: str) -> str:
     return re.sub(r"#[0-9a-f]{6}\b", variable, drawing)
 
 
-def _recipe(name: str) -> str:
-    return name.casefold().removeprefix("qr-")
-
-
 def method_colour(name: str, position: int = 0) -> str:
     """Return the colour of a method, a quantile twin's that of its recipe; else by position."""
-    known = METHODS.get(_recipe(name))
+    known = METHODS.get(name.casefold().removeprefix("qr-"))
     return (known or PURSUERS[position % len(PURSUERS)]).hex
 
 

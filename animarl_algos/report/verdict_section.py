@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from animarl_algos.evaluation.classifier import AUC, FEWEST_DEMOS, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
+from animarl_algos.evaluation.prepared import WINDOW
 from animarl_algos.evaluation.realism import REFERENCES
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.verdict import Verdict
@@ -23,8 +24,7 @@ from animarl_algos.evaluation.verdict_rows import (
     SAME,
     UNKNOWN,
 )
-from animarl_algos.evaluation.windows import WINDOW
-from animarl_algos.report.page import Block, Lead, Row, Table, tabulate
+from animarl_algos.report.page import Block, Lead, Table, tabulate
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import NOTHING, Words, capitalised, number, pick, with_interval
 from animarl_envs.errors import MissingExtraError
@@ -124,18 +124,43 @@ def _scale(row: Any) -> tuple[float, str]:
     return (100.0, "%") if row["unit"] == SHARE else (1.0, str(row["unit"]))
 
 
-def _asked(row: Any) -> str:
-    unit = _scale(row)[1]
-    return f"{row['label']} ({unit})" if unit else str(row["label"])
-
-
 # -- as tables and pictures -----------------------------------------------------------------------
 
 
 def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
-    """Yield the table and realism."""
+    """Yield the table and the realism score by kind and, folded, by component."""
     yield verdict_as_table(verdict, words)
-    yield from _realism_tables(verdict, words)
+    scores = verdict.components
+    if scores is None or scores.empty:
+        return
+
+    def beside(reference: str) -> Any:
+        return lambda row: number(row[reference]) if reference in row else NOTHING
+
+    columns = {
+        "Weight": lambda row: number(row["weight"], 2),
+        "Score\n[95 %]": lambda row: with_interval(interval(row)),
+        **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
+    }
+    whole = scores["component"].fillna("") == ""
+    yield tabulate(
+        "Realism",
+        {"Kind": lambda row: str(row["kind"]), **columns},
+        [("", scores[whole][::-1])],
+        words.say(
+            "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
+            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
+            "recording itself in place of its rollouts, other recordings, and random actions."
+        ),
+        strong=lambda row: row["kind"] == "total",
+    )
+    yield tabulate(
+        "Realism by component",
+        {"Component": lambda row: str(row["component"]), **columns},
+        [("", scores[~whole])],
+        "Components of a kind weigh alike.",
+        folded="Realism by component",
+    )
 
 
 def verdict_as_table(verdict: Verdict, words: Words) -> Table:
@@ -151,7 +176,7 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
     return tabulate(
         "Verdict",
         {
-            "Question": _asked,
+            "Question": lambda row: row["label"] + (f" ({_scale(row)[1]})" if row["unit"] else ""),
             "Verdict": lambda row: words.say(str(row["verdict"])),
             words.say("Recorded"): scaled("recorded"),
             "Simulated": lambda row: (
@@ -207,41 +232,6 @@ def _caption(verdict: Verdict) -> str:
     return said
 
 
-def _realism_tables(verdict: Verdict, words: Words) -> Iterator[Table]:
-    """The realism score by kind and, folded, by component, beside what it is read by."""
-    scores = verdict.components
-    if scores is None or scores.empty:
-        return
-
-    def beside(reference: str) -> Any:
-        return lambda row: number(row[reference]) if reference in row else NOTHING
-
-    columns = {
-        "Weight": lambda row: number(row["weight"], 2),
-        "Score\n[95 %]": lambda row: with_interval(interval(row)),
-        **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
-    }
-    whole = scores["component"].fillna("") == ""
-    yield tabulate(
-        "Realism",
-        {"Kind": lambda row: str(row["kind"]), **columns},
-        [("", scores[whole][::-1])],
-        words.say(
-            "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
-            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
-            "recording itself in place of its rollouts, other recordings, and random actions."
-        ),
-        strong=lambda row: row["kind"] == "total",
-    )
-    yield tabulate(
-        "Realism by component",
-        {"Component": lambda row: str(row["component"]), **columns},
-        [("", scores[~whole])],
-        "Components of a kind weigh alike.",
-        folded="Realism by component",
-    )
-
-
 def comparison_as_table(
     evaluation: Evaluation, words: Words, countings: Sequence[str], learner: str | None = None
 ) -> Table:
@@ -294,31 +284,21 @@ def comparison_as_table(
 def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
     """Return the verdict for the terminal; raise MissingExtraError if rich is not installed."""
     table = verdict_as_table(verdict, words)
-    return _terminal_table(table, verdict_sentence(verdict, words), lambda row: not row.faint)
+    return _terminal_table(table, verdict_sentence(verdict, words), wrapped=True)
 
 
-def evaluation_table(
-    evaluation: Evaluation,
-    *,
-    counting: str = "all",
-    learner: str | None = None,
-    words: Words = DEMONSTRATED,
-) -> TerminalTable:
-    """Return the comparison for the terminal; raise MissingExtraError if rich is not installed.
-
-    Which episodes count, ``"all"`` or ``"captures"``, is in its title; the ``learner`` is bold.
-    """
-    table = comparison_as_table(evaluation, words, [counting], learner)
-    title = words.say(f"Simulated against recorded, {COUNTING[counting]}")
-    return _terminal_table(table, title, lambda row: row.strong, wrapped=False)
+def evaluation_table(evaluation: Evaluation, words: Words = DEMONSTRATED) -> TerminalTable:
+    """Return the comparison for the terminal; raise MissingExtraError if rich is not installed."""
+    table = comparison_as_table(evaluation, words, ["all"])
+    title = words.say(f"Simulated against recorded, {COUNTING['all']}")
+    return _terminal_table(table, title, wrapped=False)
 
 
-def _terminal_table(
-    table: Table, title: str, bold: Callable[[Row], bool] = lambda row: False, wrapped: bool = True
-) -> TerminalTable:
+def _terminal_table(table: Table, title: str, *, wrapped: bool) -> TerminalTable:
     """Return a table of one group for the terminal.
 
-    Columns of words may be wrapped; where they are not, intervals stand below means.
+    Columns of words may be wrapped, and rows that are not faint are bold; where they are not,
+    intervals stand below means.
     """
     try:
         from rich.box import SIMPLE_HEAD
@@ -335,5 +315,5 @@ def _terminal_table(
         made.add_column(heading, justify="left" if left else "right", no_wrap=i >= words)
     for row in table.groups[0].rows:
         cells = row.cells if wrapped else [cell.replace(" [", "\n[") for cell in row.cells]
-        made.add_row(*map(Text, cells), style="bold" if bold(row) else "")
+        made.add_row(*map(Text, cells), style="bold" if wrapped and not row.faint else "")
     return made

@@ -97,9 +97,6 @@ def pick(table: pd.DataFrame, **values: Any) -> Any | None:
     return None if table.empty else table.iloc[0]
 
 
-# -- numbers --------------------------------------------------------------------------------------
-
-
 def number(value: float, digits: int = 3) -> str:
     """``digits`` significant digits, never more than whole numbers need; a dash for NaN."""
     if not math.isfinite(value):
@@ -133,9 +130,6 @@ def _fixed(value: float, decimals: int) -> str:
     """So many decimals, a true minus sign, and no negative zero."""
     text = f"{value:.{decimals}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
-
-
-# -- sentences ------------------------------------------------------------------------------------
 
 
 def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[str]:

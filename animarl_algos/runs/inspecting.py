@@ -17,10 +17,9 @@ from animarl_algos.evaluation.metrics import measure
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_algos.report import style
-from animarl_algos.report.inputs import PageInputs
+from animarl_algos.report.figures import path_panels
+from animarl_algos.report.inputs import PageInputs, provenance
 from animarl_algos.report.page import Gallery, Page, Section, Text
-from animarl_algos.report.path_figures import path_panels
-from animarl_algos.report.provenance import provenance
 from animarl_algos.report.style import method_label, to_image
 from animarl_algos.runs.evaluating import command, refuse_run_folder
 from animarl_algos.runs.run import Run, method_name

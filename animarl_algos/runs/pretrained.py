@@ -17,7 +17,7 @@ from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import SAME, UNKNOWN
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.report.provenance import flattened
+from animarl_algos.report.inputs import flattened
 from animarl_algos.report.verdict_section import verdict_as_table, verdict_sentence
 from animarl_algos.report.words import Words
 from animarl_algos.runs.evaluating import refuse_run_folder

@@ -12,8 +12,7 @@ from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import page, player, style
-from animarl_algos.report.inputs import PageInputs
-from animarl_algos.report.provenance import provenance, to_paste
+from animarl_algos.report.inputs import PageInputs, provenance, to_paste
 from animarl_algos.report.style import figure_style, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
 from animarl_algos.whatif.answer import Answer, WhatIf
@@ -140,9 +139,7 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
             page.Section("shifts", "Shifts", [_shift_table(found, inputs)]),
             page.Section("figures", "Figures", [_figures(found)]),
             page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
-            page.Section(
-                "paste", "To paste", list(to_paste(inputs, "", [what_it_is(found), *said]))
-            ),
+            page.Section("paste", "To paste", list(to_paste(inputs, [what_it_is(found), *said]))),
         ],
     )
 
@@ -305,7 +302,7 @@ def _dose_figure(found: WhatIf, name: str, doses: list[float]) -> Figure:
 # -- the player -----------------------------------------------------------------------------------
 
 
-def _player(found: WhatIf, inputs: PageInputs) -> player.Player:
+def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
     """Play the unchanged world beside each change, and beside the recordings."""
     played = found.answers[:MOST_PLAYED]
     views = []

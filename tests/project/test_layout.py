@@ -70,18 +70,18 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 218,
-    "animarl_algos.benchmark": 1_895,
-    "animarl_algos.cli": 2_538,
+    "animarl_algos.benchmark": 1_824,
+    "animarl_algos.cli": 2_537,
     "animarl_algos.data": 1_061,
-    "animarl_algos.evaluation": 5_150,
+    "animarl_algos.evaluation": 4_897,
     "animarl_algos.learner": 3_050,
     "animarl_algos.losses": 593,
     "animarl_algos.networks": 1_722,
     "animarl_algos.recipes": 197,
     "animarl_algos.replay": 948,
-    "animarl_algos.report": 2_289,
-    "animarl_algos.runs": 2_722,
-    "animarl_algos.whatif": 2_123,
+    "animarl_algos.report": 2_150,
+    "animarl_algos.runs": 2_721,
+    "animarl_algos.whatif": 2_120,
     "animarl_algos.zoo": 479,
     "animarl_envs": 2_406,
     "animarl_envs.demos": 1_276,
@@ -94,7 +94,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 31_019
+TESTS = 31_013
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 

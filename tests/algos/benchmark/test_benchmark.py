@@ -59,9 +59,6 @@ class Told(Watch):
         self.errors: dict[str, str] = {}
         self.elsewhere: list[str] = []
 
-    def at_once(self, number: int) -> None:
-        self.side_by_side = number
-
     def started(self, piece: Piece) -> None:
         self.begun.append(piece.name)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from animarl_algos.benchmark.methods import Steering
-from animarl_algos.benchmark.submission import read_submission, score_submission
+from animarl_algos.benchmark.scores import read_submission, score_submission
 from animarl_algos.cli.main import main
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -38,7 +38,7 @@ def submission(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_benchmark_scores_a_submission(submission: Path) -> None:
     found = score_submission(submission, "fly", resamples=20)
     assert found.method == "mine" and found.rollouts == 20 and found.starts == 10
-    assert found.of("auc").value > 0.5
+    assert found.by_measure["auc"]["value"] > 0.5
 
 
 Change = Callable[[Rollouts], Rollouts]

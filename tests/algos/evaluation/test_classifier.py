@@ -7,17 +7,18 @@ import numpy as np
 import pytest
 from moving_pairs import ARENA, recorded_pairs, rollouts_along, simulated_pairs
 
-from animarl_algos.evaluation.classifier import DEALS, among_themselves, tell_apart, widen_for_folds
-from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.windows import (
+from animarl_algos.evaluation.classifier import (
+    DEALS,
     Windows,
-    smoothed,
-    suggested_smoothing,
-    tracking_noise,
+    among_themselves,
+    tell_apart,
+    widen_for_folds,
     window_features,
 )
+from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.prepared import smoothed, suggested_smoothing, tracking_noise
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Interval
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario

@@ -6,8 +6,8 @@
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
 from animarl_algos.evaluation.statistics import Cells, Draws, bootstrap_difference, bootstrap_mean
+from animarl_algos.evaluation.verdict_rows import Exchanges, exchange_test
 from benchmarks import stated_coverage
 
 EXPERIMENTS = 500

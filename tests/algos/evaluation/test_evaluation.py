@@ -66,7 +66,7 @@ def test_examples_are_factual_and_in_order() -> None:
 def test_the_terminal_table_names_every_method() -> None:
     console = Console(width=120)
     with console.capture() as printed:
-        console.print(evaluation_table(report_inputs().evaluation, learner="dqdil"))
+        console.print(evaluation_table(report_inputs().evaluation))
     text = printed.get()
     for name in ("demonstrated", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
         assert name in text

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from animarl_algos.evaluation.classifier import window_features
 from animarl_algos.evaluation.collect import Blindfolded, MemorylessPolicy
 from animarl_algos.evaluation.metrics import METRICS, compared_metrics, judged_metrics
 from animarl_algos.evaluation.order_in_time import INTERACTIVE, nearest_other, order_measures
@@ -12,7 +13,6 @@ from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import Verdict, verdict
-from animarl_algos.evaluation.windows import window_features
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.classifier import tell_apart
-from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.classifier import sequence_windows, tell_apart, window_steps
+from animarl_algos.evaluation.prepared import Prepared, resting_step
 from animarl_algos.evaluation.realism import CEILING, OTHERS, WEIGHTS, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.windows import resting_step, sequence_windows, window_steps
+from animarl_algos.evaluation.verdict_rows import Exchanges, exchange_test
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from benchmarks import verdict_power

@@ -15,7 +15,6 @@ from animarl_algos.evaluation.statistics import (
     cells,
     covers,
     demo_margins,
-    draw_weights,
     percentile_interval,
     share_margins,
 )
@@ -52,7 +51,7 @@ def test_cells_gather_what_counts() -> None:
 
 
 def test_weights_are_a_resample() -> None:
-    weights = draw_weights(np.random.default_rng(0), 7, 400)
+    weights = Draws(0, 400).of(7)
     assert weights.shape == (400, 7) and (weights.sum(axis=1) == 7).all()
     assert weights.mean() == pytest.approx(1.0)
 

@@ -9,15 +9,8 @@ import pytest
 from report_inputs import bare_inputs, make_demos, make_rollouts, report_inputs
 
 from animarl_algos.report import player as playing
-from animarl_algos.report.page import as_data
-from animarl_algos.report.player import (
-    LEVELS,
-    Player,
-    at_ranks,
-    examples,
-    factual_rollouts,
-    run_player,
-)
+from animarl_algos.report.page import Player, as_data
+from animarl_algos.report.player import LEVELS, at_ranks, examples, factual_rollouts, run_player
 
 
 def unpacked(scene: dict, kind: str, individuals: int = 3) -> np.ndarray:

@@ -5,10 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from animarl_algos.report.path_figures import (
-    Stage,
-    path_panels,
-)
+from animarl_algos.report.figures import Stage, path_panels
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words
 from animarl_algos.runs.inspecting import Decisions, values_along_path

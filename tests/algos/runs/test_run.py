@@ -19,7 +19,7 @@ from small_runs import few, made
 from animarl_algos import load_run
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.report.provenance import duration, flattened
+from animarl_algos.report.inputs import duration, flattened
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.evaluating import (
     INFORMATION,

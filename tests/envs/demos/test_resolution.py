@@ -6,10 +6,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.classifier import Windows, tell_apart, window_features
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.windows import Windows, window_features
 from animarl_envs.demos.episode import SINGLE_PRECISION, Resolution, find_resolution, rounded
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.tracking import track

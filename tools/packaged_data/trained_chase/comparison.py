@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import Interval, draw_weights, percentile_interval
+from animarl_algos.evaluation.statistics import RESAMPLES, Interval, percentile_interval
 from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
@@ -131,7 +131,9 @@ def measure(demos: Demonstrations) -> dict[str, Floats]:
 
 def _resampled(values: Floats, rng: np.random.Generator) -> tuple[float, Floats]:
     """The mean over episodes that have a value, and over each of the resamples of episodes."""
-    weights, counts = draw_weights(rng, len(values)), np.isfinite(values)
+    chosen = rng.integers(len(values), size=(RESAMPLES, len(values)))
+    weights = np.apply_along_axis(np.bincount, 1, chosen, minlength=len(values))
+    counts = np.isfinite(values)
     with np.errstate(invalid="ignore", divide="ignore"):
         drawn = (weights @ np.where(counts, values, 0.0)) / (weights @ counts)
     return float(values[counts].mean()) if counts.any() else np.nan, drawn
