@@ -23,9 +23,6 @@ MakeTracker = Callable[[World, float], DTWTracker]
 """A tracker for a world, given the discount."""
 
 
-# -- behaviours -----------------------------------------------------------------------------------
-
-
 def thirteen_directions(world: World) -> NDArray[np.float64]:
     """Where each action accelerates each individual to, ``(B, K, 13, 2)``, arena frame."""
     focus = focus_directions(world.position, world.scenario.species.roles)
@@ -79,9 +76,6 @@ def outwards(world: World, rng: np.random.Generator) -> Actions:
     """Straight away from the centre of the arena."""
     away: Actions = (thirteen_directions(world) * world.position[:, :, None]).sum(-1).argmax(-1)
     return away
-
-
-# -- returns --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

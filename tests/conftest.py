@@ -68,6 +68,16 @@ def _logs_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         yield
 
 
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A browser for all pages of a module; its event loop ends with it."""
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    from browser import chromium
+
+    with chromium() as started:
+        yield started
+
+
 @pytest.fixture
 def animarl(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path

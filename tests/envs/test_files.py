@@ -39,3 +39,17 @@ def test_a_part_that_a_kill_left_goes_with_the_next_write_and_one_in_use_stays(
         with writer(path) as other:  # does not take it for an orphan
             assert part.exists() and other != part
     assert not [one for one in tmp_path.iterdir() if ".part" in one.name]
+
+
+def test_files_are_moved_only_when_all_are_there(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "old.csv").write_text("old")
+    with pytest.raises(RuntimeError), all_files_or_none(out) as part:
+        (part / "old.csv").write_text("new")
+        raise RuntimeError
+    assert [*out.iterdir()] == [out / "old.csv"] and (out / "old.csv").read_text() == "old"
+    with all_files_or_none(out) as part:
+        (part / "below").mkdir()
+        (part / "below" / "new.csv").write_text("new")
+    assert {path.name for path in out.rglob("*.csv")} == {"old.csv", "new.csv"}

@@ -90,12 +90,6 @@ def test_impossible_parameters_are_refused(damping: float, thrust: float, said: 
     assert Locomotion(0.0, 1e-9) != Locomotion(1.0, 1e-9)
 
 
-def test_parameters_cannot_be_changed() -> None:
-    own = Locomotion(0.25, 3.0)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        own.damping = 0.5  # type: ignore[misc]
-
-
 def test_several_magnitudes_have_twelve_actions_each_and_one_to_coast() -> None:
     """By hand, the focus straight up: action 15 is the second magnitude, to the right."""
     own = Locomotion(0.25, 3.0, (2, 0.5))
@@ -112,7 +106,10 @@ def test_several_magnitudes_have_twelve_actions_each_and_one_to_coast() -> None:
     assert own.top_speed(DT, 2) == pytest.approx(1.2)
 
 
-def test_action_vectors_are_shared_and_cannot_be_written() -> None:
+def test_parameters_and_action_vectors_cannot_be_changed() -> None:
+    own = Locomotion(0.25, 3.0)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        own.damping = 0.5  # type: ignore[misc]
     with pytest.raises(ValueError, match="read-only"):
         OWN.action_vectors[0] = 0.0
 

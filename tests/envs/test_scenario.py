@@ -15,8 +15,13 @@ from animarl_envs.species import AGENT
 from animarl_envs.species.options import with_options
 
 
-def test_no_options_leave_the_species_as_it_is() -> None:
+def test_no_options_leave_the_species_as_it_is_and_a_larger_arena_keeps_its_margin() -> None:
     assert with_options(AGENT) == AGENT
+    arena = with_options(AGENT, arena=2.0).arena
+    assert arena.size == 2.0
+    assert arena.boundary / arena.size == pytest.approx(AGENT.arena.boundary / AGENT.arena.size)
+    disc = Arena("disc", 1.0, 1.5)
+    assert with_options(AGENT, arena=disc).arena == disc
 
 
 def test_pursuers_are_renamed_and_keep_their_locomotion() -> None:
@@ -33,17 +38,6 @@ def test_a_factor_scales_the_thrust_of_one_individual_only() -> None:
     assert species.locomotion[2].damping == AGENT.locomotion[2].damping
 
 
-def test_a_larger_arena_keeps_its_margin() -> None:
-    arena = with_options(AGENT, arena=2.0).arena
-    assert arena.size == 2.0
-    assert arena.boundary / arena.size == pytest.approx(AGENT.arena.boundary / AGENT.arena.size)
-
-
-def test_an_arena_can_be_given_whole() -> None:
-    disc = Arena("disc", 1.0, 1.5)
-    assert with_options(AGENT, arena=disc).arena == disc
-
-
 def test_only_the_chosen_split_is_handed_out() -> None:
     whole = load_packaged("agent")
     for split in ("train", "test"):
@@ -53,14 +47,10 @@ def test_only_the_chosen_split_is_handed_out() -> None:
         assert len(demos) == int((whole.split == split).sum())
 
 
-def test_more_pursuers_than_recorded_start_without_recordings() -> None:
-    scenario = make_scenario("agent", num_pursuers=5, demos=None)
-    assert not scenario.paired
-    assert len(scenario.names) == 6
-
-
 def test_more_of_ones_own_pursuers_than_recorded_start_anywhere() -> None:
     """Own data has no ``demos=None``: the species is made from it all the same."""
+    without = make_scenario("agent", num_pursuers=5, demos=None)
+    assert not without.paired and len(without.names) == 6
     demos = replace(load_packaged("agent"), species="custom")
     refuses("or start='uniform'", make_scenario, "custom", demos=demos, num_pursuers=4)
     scenario = make_scenario("custom", demos=demos, num_pursuers=4, start="uniform")

@@ -64,9 +64,6 @@ RUNS = {"agent": "dqcil-pt", "fly": "soft-bc", "newt": "bc", "silkmoth": "dqdil-
 """The recipe of each species' small run folder."""
 
 
-# -- what kind of processor this is ---------------------------------------------------------------
-
-
 @nb.njit
 def _sums(x: NDArray[np.float64]) -> float:
     total = 0.0
@@ -96,9 +93,6 @@ def digest(*arrays: Any) -> str:
         found.update(f"{array.dtype.kind}{array.dtype.itemsize}{array.shape}".encode())
         found.update(array.tobytes())
     return found.hexdigest()[:16]
-
-
-# -- worlds ---------------------------------------------------------------------------------------
 
 
 def steps_of(
@@ -217,9 +211,6 @@ def worlds() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
                 )
 
 
-# -- recipes --------------------------------------------------------------------------------------
-
-
 def few(species: str) -> Demonstrations:
     """The shortest packaged episodes of every split and condition."""
     demos = load_packaged(species)
@@ -271,9 +262,6 @@ def recipes() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
     for name in RECIPES:
         for policy in ("GruPolicy", "MlpPolicy"):
             yield f"{name} {policy}", lambda n=name, p=policy: learned(n, p)
-
-
-# -- run folders ----------------------------------------------------------------------------------
 
 
 def run_folder(species: str) -> dict[str, Any]:
@@ -340,8 +328,6 @@ def runs() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
     for species in RUNS:
         yield species, lambda s=species: run_folder(s)
 
-
-# -- what is stored -------------------------------------------------------------------------------
 
 PARTS: Mapping[str, Callable[[], Iterator[tuple[str, Callable[[], dict[str, Any]]]]]] = {
     "worlds": worlds,

@@ -1,10 +1,12 @@
-"""What the packages compute is what it was: steps, updates, run folders, against stored hashes."""
+"""What the packages compute and read is what it was: steps, updates, run folders, files."""
 
+import json
 from functools import cache
 from typing import Any
 
 import golden_corpus as golden
 import pytest
+from golden_tables import RESULTS, results
 
 
 @cache
@@ -49,3 +51,10 @@ def test_golden_run_folders(name: str) -> None:
     assert {k: list(v) for k, v in found.items()} == {k: list(v) for k, v in expected.items()}
     if same_processor("runs"):
         assert found == expected
+
+
+def test_foreign_files_are_read_as_before() -> None:
+    stored, found = json.loads(RESULTS.read_text()), results()
+    other = {name: found[name] for name in found if found[name] != stored.get(name)}
+    assert found.keys() == stored.keys()
+    assert not other, "say in the commit why, and run python tests/golden/golden_tables.py"

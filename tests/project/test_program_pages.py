@@ -34,9 +34,6 @@ def test_the_programs_of_the_readme_run(
     assert Path("model.zip").exists()
 
 
-# -- docs/contributing.md -------------------------------------------------------------------------
-
-
 CONTRIBUTING = (ROOT / "docs" / "contributing.md").read_text()
 MOST_FILES = {"species": 2, "reader": 2, "recipe": 2, "metric": 1, "world": 2}
 
@@ -95,9 +92,6 @@ NAMES_A_SPECIES = {
     "animarl_envs/__init__.py",
     "animarl_envs/importing/readers/published.py",
 }
-
-
-# -- docs/learners.md -----------------------------------------------------------------------------
 
 
 LEARNERS = (ROOT / "docs" / "learners.md").read_text()

@@ -1,7 +1,11 @@
-"""Tables of the results pages agree with the CSV beside them, and links between pages lead on."""
+"""Tables of the results pages agree with their CSV, links lead on, and scripts run."""
 
+import csv
+import os
 import re
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -68,3 +72,29 @@ def anchors(file: Path) -> set[str]:
     headings = re.findall(r"^#+ (.*)$", file.read_text(), flags=re.MULTILINE)
     plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings]
     return {re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") for heading in plain}
+
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.mark.parametrize("name", ["baselines", "stated_coverage", "verdict_power", "whatif_truth"])
+def test_a_benchmark_starts_as_a_script(name: str, tmp_path: Path) -> None:
+    clean = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    said = subprocess.run(
+        [sys.executable, FOLDER / f"{name}.py", "--help"],
+        capture_output=True, text=True, cwd=tmp_path, env=clean,
+    )  # fmt: skip
+    assert said.returncode == 0, said.stderr
+    assert "--quick" in said.stdout or "--only" in said.stdout
+
+
+@pytest.mark.slow
+def test_a_team_learns_and_is_scored(tmp_path: Path) -> None:
+    command = [FOLDER / "baselines.py", "--quick", "--task", "agent", "--out", tmp_path]
+    learners = ["--learner", "PPO", "--learner", "DQN"]
+    subprocess.run([sys.executable, "-W", "ignore", *command, *learners], check=True, cwd=tmp_path)
+    with (tmp_path / "teams.csv").open(newline="") as file:
+        rows = {row["policy"]: row for row in csv.DictReader(file)}
+    assert list(rows) == ["random", "PPO", "DQN", "demonstrations (synthetic)"]
+    assert [row["score"] for row in rows.values()][::3] == ["0.00", "1.00"]
+    assert rows["DQN"]["steps"] == "16384" and -1.0 < float(rows["DQN"]["return"]) < 1.0

@@ -68,9 +68,6 @@ def test_an_unknown_species_is_one_sentence(name: str) -> None:
     refuses("choose one of agent", DQDIL, "GruPolicy", "AnimaRL/Dodo-v0")
 
 
-# -- demonstrations -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", RECIPES)
 def test_every_learner_takes_demonstrations_as_they_are(name: str) -> None:
     """Of a species by its name, and beside an environment that was made before."""

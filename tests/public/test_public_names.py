@@ -1,10 +1,16 @@
 """The names that ``animarl_algos`` gives at its front door, and that they cost nothing unasked."""
 
 import json
+import re
 import subprocess
 import sys
+from functools import cache
+from importlib import import_module
+from pathlib import Path
 
 import pytest
+from commands import animarl
+from public_names_list import public_names
 
 import animarl_algos
 from animarl_algos.recipes import registry
@@ -51,3 +57,31 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         _ = animarl_algos.DQNN
     with pytest.raises(ImportError):
         exec("from animarl_algos import DQNN")
+
+
+LISTED = (Path(__file__).resolve().parents[1] / "public_names.txt").read_text().splitlines()
+
+
+@cache
+def help_of(command: str) -> str:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", "200")
+        patch.setenv("TERMINAL_WIDTH", "200")
+        return animarl(*command.split()[1:], "--help")
+
+
+def test_public_names_are_all_listed() -> None:
+    missing = sorted(set(public_names()) - set(LISTED))
+    assert missing == [], "add them to public_names.txt, or change the page that uses them"
+
+
+@pytest.mark.parametrize("name", [name for name in LISTED if "." in name])
+def test_public_names_can_be_imported(name: str) -> None:
+    module, _, attribute = name.rpartition(".")
+    assert hasattr(import_module(module), attribute)
+
+
+@pytest.mark.parametrize("line", [line for line in LISTED if line.startswith("animarl ")])
+def test_public_names_of_commands_and_options(line: str) -> None:
+    command, _, option = line.partition(" --")
+    assert re.search(rf"--{option}\b" if option else r"Usage|usage", help_of(command))

@@ -28,9 +28,6 @@ def learner(kind: Any = DQN, **more: Any) -> Any:
     return kind("MlpPolicy", toys.Pair(2), **settings)
 
 
-# -- constructors ---------------------------------------------------------------------------------
-
-
 def test_clients_give_the_learning_rate_third() -> None:
     model = DQN("MlpPolicy", gym.make(CARTPOLE), 3e-3, device="cpu")
     assert model.learning_rate == 3e-3
@@ -82,9 +79,6 @@ def test_clients_find_networks_and_memory_under_their_names() -> None:
     assert model.replay_buffer.size() == model.replay_buffer.num_steps > 0
 
 
-# -- zip files ------------------------------------------------------------------------------------
-
-
 def test_clients_load_zips_of_another_learner_in_vain(tmp_path: Path) -> None:
     learner(DQN).save(tmp_path / "dqn")
     learner(QRDQN, policy_kwargs={"n_quantiles": 5}).save(tmp_path / "quantiles.zip")
@@ -106,9 +100,6 @@ def test_clients_load_files_of_others_in_vain(tmp_path: Path) -> None:
         refuses(words, DQN.load, tmp_path / name, device="cpu")
     with pytest.raises(FileNotFoundError):
         DQN.load(tmp_path / "nothing", device="cpu")
-
-
-# -- several individuals --------------------------------------------------------------------------
 
 
 def slots(**more: Any) -> SlotVecEnv:

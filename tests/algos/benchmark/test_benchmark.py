@@ -142,11 +142,6 @@ def test_benchmark_runs_again_what_a_setting_touches(finished: Path) -> None:
     assert scores.scorings[0].key != first.scorings[0].key
 
 
-def test_benchmark_of_two_processes_is_the_same(finished: Path, tmp_path: Path) -> None:
-    assert not run(tiny(), tmp_path / "two", processes=2).errors
-    assert bytes_of(tmp_path / "two") == bytes_of(finished)
-
-
 def children_of(number: int) -> list[int]:
     """Processes that a process started."""
     file = Path(f"/proc/{number}/task/{number}/children")

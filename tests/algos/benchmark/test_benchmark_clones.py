@@ -76,10 +76,21 @@ def test_a_cell_begun_as_a_clone_is_the_cell_that_trained_alone(
     assert bytes_of(together) == bytes_of(alone)
 
 
+PAIR = alike(("soft-bc", "dqaas"))
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two recipes that begin as one clone, finished."""
+    out = tmp_path_factory.mktemp("pair")
+    assert not run(PAIR, out).errors
+    return out
+
+
 def test_a_clone_goes_on_after_an_interruption(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epochs: list[int]
+    pair: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epochs: list[int]
 ) -> None:
-    matrix, out = alike(("soft-bc", "dqaas")), tmp_path / "out"
+    matrix, out = PAIR, tmp_path / "out"
     counted = Pretraining.train_epoch
 
     def interrupted(phase: Pretraining, dataset: Any) -> Any:
@@ -93,37 +104,33 @@ def test_a_clone_goes_on_after_an_interruption(
             run(matrix, out)
     assert not run(matrix, out).errors
     assert epochs == list(range(EPOCHS))
-    assert not run(matrix, tmp_path / "whole").errors
-    assert bytes_of(out) == bytes_of(tmp_path / "whole")
+    assert bytes_of(out) == bytes_of(pair)
 
 
 def test_clones_by_two_processes_are_the_same(tmp_path: Path) -> None:
-    matrix = alike(("soft-bc", "dqaas")).changed(seeds=(0, 1))
+    matrix = PAIR.changed(seeds=(0, 1))
     for number in (1, 2):
         assert not run(matrix, tmp_path / str(number), processes=number).errors
     assert all(one.cost(tmp_path / "2") for one in plan(matrix).clones)
     assert bytes_of(tmp_path / "1") == bytes_of(tmp_path / "2")
 
 
-def test_the_clone_stands_once_among_the_costs_and_curves_of_all(tmp_path: Path) -> None:
-    matrix = alike(("soft-bc", "dqaas"))
-    assert not run(matrix, tmp_path).errors
-    text = (tmp_path / "costs.md").read_text()
+def test_the_clone_stands_once_among_the_costs_and_curves_of_all(pair: Path) -> None:
+    text = (pair / "costs.md").read_text()
     assert text.count("| fly/clone | 1 |") == 1 and "| fly/dqaas beside its clone | 1 |" in text
-    asked = plan(matrix)
+    asked = plan(PAIR)
     (clone,) = asked.clones
-    assert [cell.cost(tmp_path)["clone"] for cell in asked.cells] == [clone.name] * 2
-    logs = [cell.folder(tmp_path) / "run" / "logs" / cell.method for cell in asked.cells]
+    assert [cell.cost(pair)["clone"] for cell in asked.cells] == [clone.name] * 2
+    logs = [cell.folder(pair) / "run" / "logs" / cell.method for cell in asked.cells]
     assert all("offline/val" in (log / "000" / "progress.csv").read_text() for log in logs)
 
 
 def test_a_clone_that_fails_leaves_its_cells_to_themselves(tmp_path: Path) -> None:
-    matrix = alike(("soft-bc", "dqaas"))
-    (clone,) = plan(matrix).clones
+    (clone,) = plan(PAIR).clones
     claim_folder(tmp_path)
     clone.folder(tmp_path).mkdir(parents=True)
     (clone.folder(tmp_path) / "run").write_text("no folder")
-    told = run(matrix, tmp_path)
+    told = run(PAIR, tmp_path)
     assert list(told.errors) == [clone.name]
     assert "## Not there" not in (tmp_path / "leaderboard.md").read_text()
 
@@ -147,13 +154,10 @@ def test_only_the_same_phase_is_shared() -> None:
     assert shared(alike(quantiles)) == [["soft-bc", "dqaas"], ["qr-soft-bc", "qr-dqaas"]]
 
 
-def test_what_a_preset_would_add_is_not_shared() -> None:
+def test_presets_share_where_recipes_begin_as_clones() -> None:
     each = {name: {"offline_loss": "cloning"} for name in ("dqaas", "dqdil-pt")}
     paper = tiny(preset="paper", recipes=list(each), settings=each)
     assert plan(paper).clones == ()  # of the paper's observation and labels, which soft-bc is not
-
-
-def test_presets_share_where_recipes_begin_as_clones() -> None:
     few = {"species": ("agent", "silkmoth"), "seeds": (0, 1)}
     assert plan(read_matrix("paper").changed(**few)).clones == ()
     short = plan(read_matrix("short").changed(**few)).clones

@@ -71,9 +71,6 @@ def make_nothing(setting: MethodSetting) -> Any:
     raise ValueError("bad\n\n## fly2\nsecond")
 
 
-# -- others' methods ------------------------------------------------------------------------------
-
-
 def test_benchmark_asks_predict_or_a_callable() -> None:
     seen = np.zeros((3, 2), dtype=np.float32)
     by_call = CheckedPolicy("mine", lambda observation: np.full(len(observation), 2.0), 13)
@@ -81,9 +78,8 @@ def test_benchmark_asks_predict_or_a_callable() -> None:
     assert CheckedPolicy("mine", RandomPolicy(0), 13).predict(seen)[0].shape == (3,)
     with pytest.raises(InputError, match="no predict"):
         CheckedPolicy("mine", 3, 13)
-
-
-def test_benchmark_counts_the_parameters_of_others() -> None:
+    with pytest.raises(InputError, match="method mine: its predict raised ValueError"):
+        CheckedPolicy("mine", lambda _: [[1], [1, 2], 3], 13).predict(seen)
     network = torch.nn.Linear(3, 2)
     assert parameters_of(network) == parameters_of(SimpleNamespace(policy=network)) == 3 * 2 + 2
     assert parameters_of(len) is None
@@ -112,11 +108,6 @@ def test_benchmark_lets_signals_through_somebody_elses_code() -> None:
 def test_benchmark_refuses_actions(answer: Any, said: str) -> None:
     with pytest.raises(InputError, match=said):
         CheckedPolicy("mine", lambda _: np.array(answer), 13).predict(np.zeros((3, 2)))
-
-
-def test_benchmark_names_the_method_of_a_ragged_answer() -> None:
-    with pytest.raises(InputError, match="method mine: its predict raised ValueError"):
-        CheckedPolicy("mine", lambda _: [[1], [1, 2], 3], 13).predict(np.zeros((3, 2)))
 
 
 def test_benchmark_looks_methods_up_at_once() -> None:
@@ -208,9 +199,6 @@ def test_benchmark_takes_d3rlpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert len(made) == 2
 
 
-# -- references -----------------------------------------------------------------------------------
-
-
 def test_benchmark_steering_holds_or_stops() -> None:
     scenario = make_scenario("agent", split="test")
     names = [one.name for one in make_world(scenario, 1).observation_components]
@@ -258,15 +246,9 @@ def test_benchmark_experts_begin_at_the_starts_of_their_condition() -> None:
     assert np.allclose(starts, test.positions[test.offsets[made.demo]], atol=1e-3)
     with pytest.raises(InputError, match="leave 'experts' out"):
         expert_rollouts(load_packaged("fly"), get_species("fly"), seed=0, repetitions=1)
-
-
-def test_benchmark_has_experts_where_they_are_known() -> None:
     asked = plan(Matrix(species=("agent", "fly"), references=("experts", "still")))
-    assert [cell.name for cell in asked.cells] == [
-        "agent/experts/0",
-        "agent/still/0",
-        "fly/still/0",
-    ]
+    cells = ["agent/experts/0", "agent/still/0", "fly/still/0"]
+    assert [cell.name for cell in asked.cells] == cells
 
 
 def test_benchmark_nearest_segment_is_looked_up_and_followed() -> None:
@@ -291,9 +273,6 @@ def test_benchmark_nearest_segment_is_looked_up_and_followed() -> None:
         assert first[k] in going[np.argsort(apart)[:NEIGHBOURS]]
     with pytest.raises(InputError, match="no training episode is of condition"):
         policy.predict(np.concatenate([seen[0], 1 - flag], axis=1))
-
-
-# -- measures -------------------------------------------------------------------------------------
 
 
 def test_benchmark_score_survives_json() -> None:

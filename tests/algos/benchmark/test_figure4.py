@@ -1,4 +1,4 @@
-"""The table of the paper's Figure 4, of methods that are known to be near and far."""
+"""Small parts of the benchmark scripts: figure 4, scale, floors, the first hour, true programs."""
 
 from __future__ import annotations
 
@@ -9,17 +9,29 @@ import numpy as np
 import pandas as pd
 import pytest
 import typer
-from moving_pairs import recorded_pairs, simulated_pairs
+from moving_pairs import STARTS, recorded_pairs, simulated_pairs
 from scipy import stats
+from typer.testing import CliRunner
 
 from animarl_algos.benchmark.matrix import plan, read_matrix
+from animarl_algos.cli.main import app
 from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.evaluation.verdict import Verdict
+from animarl_algos.evaluation.verdict_rows import DIFFERS
+from animarl_algos.learner.presets import constructed
+from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.words import Words
-from benchmarks import figure4
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.locomotion import COAST
+from benchmarks import figure4, scale
 from benchmarks.figure4 import kde_distance
+from benchmarks.split_floor import split_rows
+from benchmarks.true_programs import Courtship, bars_met, judged, rolled_out
 
 
-def test_what_stands_still_is_farther_from_the_recordings_than_what_repeats_them() -> None:
+def test_what_stands_still_is_farther_from_the_recordings_than_what_repeats_them(
+    tmp_path: Path,
+) -> None:
     demos = recorded_pairs()
     both = {"bc": "still", "dqdil": "true"}
     made = [replace(simulated_pairs(demos, kind), method=name) for name, kind in both.items()]
@@ -32,25 +44,15 @@ def test_what_stands_still_is_farther_from_the_recordings_than_what_repeats_them
     assert near[f"{figure4.KDE_DURATION}: paper"] == "0.811 [0.687, 0.935]"
     panels = figure4.draw({"agent": metrics}).axes
     assert [panel.get_ylabel() for panel in panels] == [Words().axis(m) for m in figure4.SHOWN]
-
-
-def test_an_unfinished_benchmark_is_one_sentence(tmp_path: Path) -> None:
-    matrix = read_matrix("paper").changed(species=("agent",), seeds=(0,))
+    unfinished = plan(read_matrix("paper").changed(species=("agent",), seeds=(0,))).cells[:1]
     with pytest.raises(typer.BadParameter, match=r"agent/dqn/0 is not finished: run 'animarl"):
-        figure4.measured(plan(matrix).cells[:1], tmp_path)
+        figure4.measured(unfinished, tmp_path)
 
 
 def textbook_kde_distance(first: np.ndarray, second: np.ndarray) -> float:
     grid = np.linspace(-30, 30, 20_001)
     densities = [stats.gaussian_kde(sample)(grid) for sample in (first, second)]
     return float(np.trapezoid(np.abs(densities[0] - densities[1]), grid))
-
-
-def test_kde_distance_known_answers() -> None:
-    rng = np.random.default_rng(10)
-    sample = rng.normal(size=60)
-    assert kde_distance(sample, sample) == 0.0
-    assert kde_distance(sample, sample + 100.0) == pytest.approx(2.0, abs=1e-3)
 
 
 def test_kde_distance_equals_scipys_densities_integrated() -> None:
@@ -60,39 +62,22 @@ def test_kde_distance_equals_scipys_densities_integrated() -> None:
         assert kde_distance(first, second) == pytest.approx(
             textbook_kde_distance(first, second), abs=2e-3
         )
+    few, some = np.array([0.0, 1.0]), np.array([2.0, 2.7, 4.0])
+    assert kde_distance(few, some) == pytest.approx(textbook_kde_distance(few, some), abs=2e-3)
 
 
-def test_kde_distance_of_very_small_samples() -> None:
-    first, second = np.array([0.0, 1.0]), np.array([2.0, 2.7, 4.0])
-    expected = textbook_kde_distance(first, second)
-    assert kde_distance(first, second) == pytest.approx(expected, abs=2e-3)
-
-
-def test_kde_distance_is_symmetric_and_free_of_scale() -> None:
+def test_kde_distance_known_answers() -> None:
     rng = np.random.default_rng(12)
     first, second = rng.normal(size=30), rng.normal(0.5, 2.0, 50)
+    assert kde_distance(first, first) == 0.0
+    assert kde_distance(first, first + 100.0) == pytest.approx(2.0, abs=1e-3)
     distance = kde_distance(first, second)
     assert kde_distance(second, first) == pytest.approx(distance)
     assert kde_distance(1000 * first + 7, 1000 * second + 7) == pytest.approx(distance, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "expected"),
-    [
-        ([14.8] * 5, [14.8] * 9, 0.0),  # every episode timed out, here and there
-        ([14.8] * 5, [3.0] * 9, 2.0),
-        ([14.8], [3.0], 2.0),
-        ([14.8], [14.8], 0.0),
-    ],
-)
-def test_kde_distance_without_variance(
-    first: list[float], second: list[float], expected: float
-) -> None:
-    assert kde_distance(np.array(first), np.array(second)) == pytest.approx(expected, abs=1e-3)
-
-
-def test_kde_distance_of_a_peak_to_a_spread() -> None:
-    spread = np.random.default_rng(13).uniform(0, 14.8, 50)
+    # Without variance: every episode timed out, here and there.
+    for one, other, expected in (([14.8] * 5, [14.8] * 9, 0.0), ([14.8], [3.0], 2.0)):
+        assert kde_distance(np.array(one), np.array(other)) == pytest.approx(expected, abs=1e-3)
+    spread = rng.uniform(0, 14.8, 50)
     assert 1.7 < kde_distance(np.full(50, 14.8), spread) < 2.0
 
 
@@ -104,3 +89,77 @@ def test_the_bootstrap_surrounds_a_large_distance() -> None:
     rows = pd.DataFrame({"seed": seed, "demo": demo, "x": drawn})
     found = figure4.kde_interval(rows, truth, "x")
     assert found.low < found.estimate < found.high < 2.0
+
+
+def test_every_learner_has_two_sizes_in_whole_rounds() -> None:
+    units = []
+    for cell in plan(read_matrix("short").changed(seeds=(0,))).cells:
+        if cell.settings is None or not named_recipe(cell.method).algorithm.recipe.online:
+            continue
+        less, more = scale.few_steps(cell.settings)
+        assert more == 3 * less >= 3 * scale.STEPS, cell
+        learner = cell.settings.learner()
+        every, unit = constructed(learner.arguments)["train_freq"]
+        units.append(unit)
+        assert unit == "episode" or less % (every * learner.n_envs) == 0, cell
+    assert {"episode", "step"} <= set(units)
+    # Cells are taken in turn by whoever is free.
+    assert scale.makespan([3.0, 1.0, 1.0, 1.0], 2) >= 3.0
+    assert scale.makespan([1.0] * 4, 1) > scale.makespan([1.0] * 4, 2)
+
+
+def test_episodes_that_are_the_same_do_not_differ_and_later_ones_do() -> None:
+    same = recorded_pairs().select(episodes=np.tile(np.arange(STARTS // 2), 2))
+    half = np.repeat(["test", "train"], STARTS // 2)
+    assert all(own == beside for _, own, beside, _ in split_rows(replace(same, split=half)))
+    longest = np.argsort(recorded_pairs().lengths)
+    by_length = replace(recorded_pairs().select(episodes=longest), split=half)
+    found = {label: (own, beside, errors) for label, own, beside, errors in split_rows(by_length)}
+    own, beside, errors = found["Duration"]
+    assert beside > own
+    assert errors > 3
+
+
+TABLE = Path(__file__).parents[3] / "examples" / "data" / "lab_table.csv"
+
+
+@pytest.mark.slow
+def test_a_table_of_a_lab_becomes_a_simulator_within_a_quarter(tmp_path: Path) -> None:
+    demos, run = tmp_path / "lab.npz", tmp_path / "lab"
+    for words in (("import", TABLE, "--out", demos), ("run", demos, "--out", run)):
+        ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+        assert ran.exit_code == 0, ran.output
+    assert (run / "report.html").exists()
+    found = Verdict.load(run / "evaluation")
+    for name in ("median_speed", "duration", "reached"):
+        row = found.row(name)
+        assert row["simulated"] == pytest.approx(row["recorded"], rel=0.25)
+
+
+def test_the_program_moves_as_the_flies_that_it_made() -> None:
+    met = bars_met(judged("fly", seed=0, rollouts=50))
+    assert "Duration" in met and any("classifier" in label for label in met)
+    assert all(met.values())
+
+
+def test_flies_that_only_coast_miss_bars(monkeypatch: pytest.MonkeyPatch) -> None:
+    def coast(program: Courtship, observation: np.ndarray, **_: object) -> tuple[np.ndarray, None]:
+        return np.full(len(observation), COAST), None
+
+    monkeypatch.setattr(Courtship, "predict", coast)
+    found = judged("fly", seed=0, rollouts=20)
+    met = bars_met(found)
+    assert [label for label, holds in met.items() if not holds] == [found.row("auc")["label"]]
+    assert found.judgement == DIFFERS
+    assert found.row("kinematic")["judgement"] == DIFFERS  # speeds hardly vary
+
+
+@pytest.mark.parametrize("name", ["agent", "silkmoth"])
+def test_teams_and_the_programmed_moth_begin_at_every_test_start(name: str) -> None:
+    made, demos = rolled_out(name, seed=0, rollouts=1), load_packaged(name)
+    assert np.unique(made.demo).tolist() == list(range(int((demos.split == "test").sum())))
+
+
+def test_other_seeds_draw_other_rollouts() -> None:
+    first, second = (judged("fly", seed, rollouts=10).row("duration") for seed in (0, 1))
+    assert first["recorded"] == second["recorded"] and first["simulated"] != second["simulated"]

@@ -19,7 +19,6 @@ from animarl_algos.evaluation import Rollouts
 from animarl_algos.evaluation.comparison import TABLES
 from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.runs.run import Run
-from animarl_envs.files import all_files_or_none
 
 METHODS = ("dqcil-pt", "dqdil-pt")
 
@@ -67,9 +66,6 @@ def whole(folder: Path, tables: set[str]) -> None:
     for told in ("commit", "processor", "wall time, training", "licence"):
         assert told in page, told
     assert "older version" not in page
-
-
-# -- evaluate -------------------------------------------------------------------------------------
 
 
 def test_methods_times_seeds_twice_the_same(
@@ -164,27 +160,18 @@ def test_bad_input_is_one_sentence(
     (tmp_path / "file").write_text("in the way")
     refused(animarl(command, runs[0], *more, "--out", "file"), "it is a file")
     refused(animarl(command, runs[0], *more, "--out", runs[1]), "it is a run folder")
+    spoilt = tmp_path / "spoilt"
+    shutil.copytree(runs[0], spoilt)
+    if command == "evaluate":
+        (table,) = (spoilt / "logs").rglob("progress.csv")
+        table.write_bytes(b'"a,b\n1,2,3\n\xff\xfe')
+        refused(animarl(command, spoilt, "--out", "o"), "progress.csv", "cannot be read")
+        refused(animarl(command, *runs, "--acting", "greedy", "--out", "o"), "--acting")
+        refused(animarl(command, *runs), "--out")
+    if command != "counterfactual":
+        (spoilt / "rollouts" / "DQCIL-PT.npz").write_bytes(b"PK\x03\x04 cut")
+        refused(animarl(command, spoilt, *more, "--out", "o"), "DQCIL-PT.npz", "damaged")
     assert not (tmp_path / "o").exists()
-
-
-def test_damaged_rollouts_and_tables_are_refused(
-    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
-) -> None:
-    copy = tmp_path / "copy"
-    shutil.copytree(runs[0], copy)
-    (table,) = (copy / "logs").rglob("progress.csv")
-    table.write_bytes(b'"a,b\n1,2,3\n\xff\xfe')
-    refused(animarl("evaluate", copy, "--out", "o"), "progress.csv", "cannot be read")
-    (copy / "rollouts" / "DQCIL-PT.npz").write_bytes(b"PK\x03\x04 cut")
-    for command in (["evaluate", copy], ["inspect", copy, "--episode", "0"]):
-        refused(animarl(*command, "--out", "o"), "DQCIL-PT.npz", "damaged")
-
-
-def test_acting_belongs_to_a_run_that_is_rolled_out_again(
-    animarl: Callable[..., Done], runs: list[Path]
-) -> None:
-    refused(animarl("evaluate", *runs, "--acting", "greedy", "--out", "o"), "--acting")
-    refused(animarl("evaluate", *runs), "--out")
 
 
 def test_trained_runs_are_judged_on_new_recordings(
@@ -222,23 +209,6 @@ def test_a_full_disk_leaves_earlier_results(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_files_are_moved_only_when_all_are_there(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "old.csv").write_text("old")
-    with pytest.raises(RuntimeError), all_files_or_none(out) as part:
-        (part / "old.csv").write_text("new")
-        raise RuntimeError
-    assert contents(out).keys() == {"old.csv"} and (out / "old.csv").read_text() == "old"
-    with all_files_or_none(out) as part:
-        (part / "below").mkdir()
-        (part / "below" / "new.csv").write_text("new")
-    assert contents(out).keys() == {"old.csv", "below/new.csv"}
-
-
-# -- inspect --------------------------------------------------------------------------------------
-
-
 def test_one_episode_is_looked_at(
     animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
 ) -> None:
@@ -257,9 +227,6 @@ def test_one_episode_is_looked_at(
     assert np.allclose(values.groupby("step")["advantage"].sum(), 0.0, atol=1e-6)
     gone = animarl("inspect", runs[0], "--episode", 6, "--out", "out")
     refused(gone, "no test episode 6", "0 to 5")
-
-
-# -- counterfactual -------------------------------------------------------------------------------
 
 
 def test_shifts_have_their_truth(

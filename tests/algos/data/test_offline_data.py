@@ -149,9 +149,6 @@ def test_bad_data_is_refused(change: Any, message: str) -> None:
     refuses(f"file.npz: .*{message}", OfflineDataset, **data | change(data), source="file.npz")
 
 
-# -- penalties by the fitted dynamics -------------------------------------------------------------
-
-
 def recording(
     noise: float, seed: int = 1
 ) -> tuple[Demonstrations, NDArray[np.int64], list[Locomotion], NDArray[np.float64]]:
@@ -194,14 +191,7 @@ def test_the_action_taken_leads_exactly_to_the_next_position() -> None:
     pushed = taken & (actions != COAST)
     np.testing.assert_allclose(penalties[..., COAST][pushed], left_behind[pushed], rtol=1e-5)
     assert not penalties[[29, 49]].any()
-
-
-def test_penalties_by_the_locomotion_of_others_are_refused() -> None:
-    demos, _, fitted, _ = recording(noise=0.0)
     refuses("for 3 individuals: give one set each", one_step_misses, demos, fitted[:2])
-
-
-# -- soft labels, tracked ones, and minibatches in a mirror ---------------------------------------
 
 
 A = 13
@@ -213,17 +203,6 @@ def test_a_known_answer() -> None:
     near = soft_labels(np.array([0.0, 0.0, width * step]), step, width)
     expected = np.array([1.0, 1.0, np.exp(-0.5)])
     np.testing.assert_allclose(near, expected / expected.sum(), rtol=1e-6)
-
-
-def test_wide_labels_know_nothing_and_narrow_ones_name_the_nearest() -> None:
-    penalties = np.random.default_rng(0).random((20, 3, A))
-    np.testing.assert_allclose(soft_labels(penalties, 1.0, 1e6), 1 / A, rtol=1e-5)
-    narrow = soft_labels(penalties, 1.0, 1e-5)
-    np.testing.assert_array_equal(narrow.argmax(-1), penalties.argmin(-1))
-    assert narrow.max(-1).min() > 0.999
-
-
-# -- of a species ---------------------------------------------------------------------------------
 
 
 def test_a_species_soft_labels_prefer_what_inverse_dynamics_infers() -> None:
@@ -268,8 +247,6 @@ def test_tracking_labels_are_those_of_the_simulation_seen_from_where_it_is(
     expected = demonstration_observations(species, simulated)
     np.testing.assert_allclose(frames.observations, expected, rtol=1e-6, atol=1e-6)
 
-
-# -- windows and mirrors --------------------------------------------------------------------------
 
 MIRROR = Mirror(
     order=np.array([0, 2, 1, 3]),

@@ -1,4 +1,4 @@
-"""The acting rule is chosen by what rollouts do, and saved where all that act find it."""
+"""Acting rule and number of thrusts are chosen by what rollouts do, and saved for all that act."""
 
 from __future__ import annotations
 
@@ -29,16 +29,24 @@ from animarl_algos.evaluation.acting_choice import (
 from animarl_algos.evaluation.collect import Policy, RandomPolicy
 from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER, PLACE
 from animarl_algos.evaluation.prepared import Prepared
-from animarl_algos.evaluation.realism import ENDING, Likelihood
-from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.realism import ENDING
+from animarl_algos.evaluation.thrust_choice import (
+    choose_thrusts,
+    tracking_floor,
+)
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import arena_of
+from animarl_envs.fitting.joint import joint_locomotion
+from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 
@@ -79,20 +87,6 @@ def test_the_rule_whose_rollouts_are_like_the_recordings_is_chosen() -> None:
     assert Acting.from_json(json.loads(json.dumps(found.to_json()))["acting"]) == good
 
 
-def test_recordings_are_less_likely_if_all_stand_still_or_die_at_once() -> None:
-    demos = load_packaged("agent").select(split="val")
-    realism = Likelihood.of(Prepared(demos))
-    recorded = Rollouts.from_demonstrations(demos)
-    first = np.repeat(recorded.offsets[:-1], recorded.lengths)
-    still = replace(recorded, positions=recorded.positions[first])
-    index = np.concatenate([[start, start + 1] for start in recorded.offsets[:-1]])
-    dead = replace(recorded, positions=recorded.positions[index], lengths=np.full(len(recorded), 2))
-    itself, still_, dead_ = (realism.total(realism.components(r)) for r in (recorded, still, dead))
-    others = realism.total(realism.of_others(8, np.random.default_rng(0)))
-    for worse in (still_, dead_, others):
-        assert errors_above(itself - worse, demos.recording) > MARGIN
-
-
 def test_a_start_counts_with_its_recording() -> None:
     difference = np.array([1.0, 1.0, 1.0, 1.0, 0.0, np.nan])
     alone = errors_above(difference, np.arange(6).astype(str))
@@ -118,6 +112,10 @@ def test_candidates_are_as_meant_then_cooler_shares_of_the_fitted_temperatures_t
     assert rules[0].temperature == (1.0, 1.0)
     assert rules[1].temperature == (2.0, 1.0)
     assert rules[-1] == Acting() and len(rules) == 2 + len(COOLER)
+    further = further_rules([2.0, 1.0])  # how hard and which way are cooled apart
+    assert {rule.temperature for rule in further} == {(2.0, 1.0)}
+    assert [(rule.thrust, rule.direction) for rule in further] == list(APART)
+    assert all(rule.two_stage for rule in further)
 
 
 Rule = tuple[float, float]
@@ -191,24 +189,12 @@ def test_rounds_go_on_until_the_chosen_rule_repeats(monkeypatch: pytest.MonkeyPa
 def test_further_rules_are_chosen_among_where_others_are_nearer(
     level: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    far, _ = chosen_among([(-9.0, 0.0)], [(-8.0, 0.0)], monkeypatch)
+    assert far.short > MARGIN  # which is said
     choice, rules = chosen_among([(level, 0.0)], [(0.2, 0.0)], monkeypatch)
     assert len(choice.candidates) == (1 if level > 0 else 2)
     assert choice.acting == rules[0 if level > 0 else 1]
     assert choice.short <= MARGIN
-
-
-def test_no_rule_that_comes_near_is_chosen_without_saying_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    choice, _ = chosen_among([(-9.0, 0.0)], [(-8.0, 0.0)], monkeypatch)
-    assert choice.short > MARGIN
-
-
-def test_how_hard_and_which_way_are_cooled_apart() -> None:
-    rules = further_rules([2.0, 1.0])
-    assert {rule.temperature for rule in rules} == {(2.0, 1.0)}
-    assert [(rule.thrust, rule.direction) for rule in rules] == list(APART)
-    assert all(rule.two_stage for rule in rules)
 
 
 @pytest.fixture(scope="module")
@@ -248,3 +234,52 @@ def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_pat
     file.unlink()
     with pytest.raises(InputError, match="no acting rule was chosen yet"):
         Run(copy).acting("soft-bc")
+
+
+@pytest.fixture(scope="module")
+def chases() -> Demonstrations:
+    demos = load_packaged("agent")
+    long = np.flatnonzero((demos.split == "train") & (demos.lengths > 60))
+    return demos.select(episodes=long[:40])
+
+
+def test_animals_with_one_thrust_get_one(chases: Demonstrations) -> None:
+    assert choose_thrusts(chases)[0] == 1
+    assert tracking_floor(chases, joint_locomotion(chases)).estimate < 0.6
+
+
+def test_animals_that_push_with_several_strengths_get_several(chases: Demonstrations) -> None:
+    """Tracks of the chases that can be followed with magnitudes of 1.6, 0.8 and 0.3 only."""
+    strengths = (Locomotion(0.25, 3.0, (1.6, 0.8, 0.3)),) * 3
+    wobbly = replace(chases, positions=track(chases, strengths).positions)
+    assert choose_thrusts(wobbly)[0] > 1
+    assert tracking_floor(wobbly, joint_locomotion(wobbly)).estimate > 0.8
+
+
+def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for(chases: Demonstrations) -> None:
+    """Three recordings of newts do not say whether one thrust will do; three exact chases do."""
+    newts = load_packaged("newt").select(split="train").select(episodes=np.arange(3))
+    floor = tracking_floor(newts, joint_locomotion(newts))
+    assert floor.estimate <= 2 / 3 and floor.high - floor.low > 1 / 3
+    assert choose_thrusts(newts)[0] == 3
+    assert "too few to tell" in choose_thrusts(newts)[1]
+    assert choose_thrusts(chases.select(episodes=np.arange(3)))[0] == 1
+
+
+def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
+    """Flies that are too sluggish to turn in time: through the edge, unless it is a wall."""
+    packaged = load_packaged("fly").select(split="train")
+    demos = replace(packaged, arena=replace(packaged.arena, rebound=False))
+    sluggish = (Locomotion(0.003, 0.05),) * demos.num_individuals
+    walled = arena_of(demos)
+    assert walled.rebound and not demos.arena.rebound
+    assert farthest(demos, sluggish, demos.arena) > 1.02
+    assert farthest(demos, sluggish, walled) <= 1.0
+    floor = tracking_floor(demos, sluggish)
+    assert floor == tracking_floor(demos, sluggish, arena=walled)
+    assert floor != tracking_floor(demos, sluggish, arena=demos.arena)
+
+
+def farthest(demos: Demonstrations, locomotion: tuple[Locomotion, ...], arena: Arena) -> float:
+    """From the centre of the dish [arena unit]."""
+    return float(np.linalg.norm(track(demos, locomotion, arena).positions, axis=2).max())

@@ -122,16 +122,6 @@ def test_recordings_among_themselves_and_one_demonstration_alone() -> None:
     assert np.isnan(tell_apart(alone, alone, np.random.default_rng(0)).auc.estimate)
 
 
-def test_the_same_seed_gives_the_same_answer() -> None:
-    demos = recorded_pairs()
-    sides = [
-        window_features(r, ARENA)
-        for r in (Rollouts.from_demonstrations(demos), simulated_pairs(demos, "true"))
-    ]
-    twice = [tell_apart(*sides, np.random.default_rng(5), importance=True) for _ in range(2)]
-    assert twice[0] == twice[1]
-
-
 def test_both_sides_are_cut_alike_and_short_episodes_count() -> None:
     demos = recorded_pairs()
     recorded = Rollouts.from_demonstrations(demos)
@@ -162,6 +152,16 @@ def test_who_moves_less_than_a_resting_animal_is_at_rest() -> None:
     )  # mean speeds: nothing but steps below the limit is left out
     assert (every >= moving).all() and (every - moving < limit[0] / recorded.dt).all()
     assert (every == moving).any()
+
+
+def test_the_same_seed_gives_the_same_answer() -> None:
+    demos = recorded_pairs()
+    sides = [
+        window_features(r, ARENA)
+        for r in (Rollouts.from_demonstrations(demos), simulated_pairs(demos, "true"))
+    ]
+    twice = [tell_apart(*sides, np.random.default_rng(5), importance=True) for _ in range(2)]
+    assert twice[0] == twice[1]
 
 
 def test_episodes_of_a_recording_are_kept_together_where_there_are_enough() -> None:

@@ -1,22 +1,38 @@
-"""The evaluation behind the report: saved, repeatable, and of rollouts that belong together."""
+"""The evaluation behind the report: known answers of its measures; saved and repeatable."""
 
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+from moving_pairs import demonstrations_of, rollouts_along
+from numpy.typing import NDArray
 from refusals import refuses
 from report_inputs import make_demos, make_rollouts, rendered, report_inputs, report_page
 from rich.console import Console
 
 from animarl_algos.benchmark.scores import labels
-from animarl_algos.evaluation import Evaluation, evaluate, measure
-from animarl_algos.evaluation.metrics import METRICS, Metric, add_metric
+from animarl_algos.evaluation import Evaluation, evaluate
+from animarl_algos.evaluation.metrics import (
+    METRICS,
+    Metric,
+    add_metric,
+    measure,
+    measure_recordings,
+)
+from animarl_algos.evaluation.prepared import dtw_alignments, path_lengths
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict_rows import SAME
 from animarl_algos.report import evaluation_table
 from animarl_algos.report.player import factual_rollouts
+from animarl_algos.runs.inspecting import Decisions, decide_along
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.species import SPECIES
 
 
 def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
@@ -118,3 +134,124 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
     assert columns[-2:] == ["pace\n(arena units/s)", "energy of pace"]
     # An evaluation from before it was added still makes its page.
     assert rendered(inputs) == report_page()
+
+
+class Counter:
+    """Values that show the policy's memory (steps counted) and the flag; 1 more for slot % 3."""
+
+    def __init__(self) -> None:
+        self.previous_actions: list[Any] = []
+
+    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
+        slots = len(observation)
+        count = np.zeros((slots, 1)) if state is None else state[0].reshape(slots, 1)
+        self.previous_actions.append(None if state is None else state[1])
+        q = np.zeros((slots, 13)) + 10.0 * count + observation[:, -1:]
+        q[np.arange(slots), np.arange(slots) % 3] += 1.0
+        return q, count + 1, False
+
+
+DEMOS = make_demos()
+STEPS = int(DEMOS.lengths[3]) - 1
+FLAG = float(DEMOS.condition[3])
+
+
+def decisions(policy: Counter, focal: str | None = None) -> Decisions:
+    return decide_along(policy, SPECIES["agent"], DEMOS, 3, condition_flag=True, focal=focal)
+
+
+def test_decisions_follow_the_recorded_path() -> None:
+    policy = Counter()
+    made = decisions(policy)
+    assert (made.individual, made.demo, len(made.q)) == ("predator_0", 3, STEPS)
+    assert made.q[:, 0] == pytest.approx(10.0 * np.arange(STEPS) + 1.0 + FLAG)
+    told = [actions[0] for actions in policy.previous_actions[1:STEPS]]
+    assert np.array_equal(told, made.actions[: STEPS - 1])
+
+
+def test_a_policy_of_a_single_individual_tells_that_ones_values() -> None:
+    """From its own slots: no others are asked about."""
+    policy = Counter()
+    prey = decisions(policy, focal="prey")
+    assert (prey.individual, len(prey.q)) == ("prey", STEPS)
+    assert policy.previous_actions[-1].shape == (1,)
+    assert not np.array_equal(prey.actions, decisions(Counter()).actions)
+
+
+def line(frames: int, step: tuple[float, float], start: tuple[float, float]) -> NDArray[np.float64]:
+    return np.asarray(start) + np.arange(frames)[:, None] * np.asarray(step)
+
+
+def chase(frames: int, speed: float) -> NDArray[np.float64]:
+    """Two pursuers, of step ``speed`` and twice that, and a target at rest."""
+    return np.stack(
+        [
+            line(frames, (speed, 0.0), (-0.5, 0.0)),
+            line(frames, (0.0, 2 * speed), (0.0, -0.5)),
+            line(frames, (0.0, 0.0), (0.3, 0.3)),
+        ],
+        axis=1,
+    )
+
+
+@pytest.fixture
+def demos() -> Demonstrations:
+    paths = [chase(11, 0.02), chase(6, 0.01), chase(21, 0.03)]
+    return demonstrations_of(paths, condition=[0, 1, 1], outcome=[1, 0, 2])
+
+
+def rollouts(demos: Demonstrations, demo: list[int], paths: list[NDArray[np.float64]]) -> Rollouts:
+    return rollouts_along(paths, demos, demo, outcome=[1, 0, -1, 2][: len(demo)])
+
+
+def test_path_length_is_that_of_each_episode_alone(demos: Demonstrations) -> None:
+    made = rollouts(demos, [0, 1], [chase(4, 0.1), chase(3, 0.2)])
+    assert path_lengths(made) == pytest.approx(np.array([[0.3, 0.6, 0.0], [0.4, 0.8, 0.0]]))
+
+
+def test_measures_of_the_recordings(demos: Demonstrations) -> None:
+    table = measure_recordings(demos)
+    assert table["method"].unique().tolist() == ["recorded"]
+    assert table["reached"].tolist() == [1.0, 0.0, 1.0]
+    assert table["duration"].to_numpy() == pytest.approx([1.0, 0.5, 2.0])
+    assert table["path_length"].to_numpy() == pytest.approx([0.3, 0.075, 0.9])  # pursuers only
+    assert (table["dtw"] == 0.0).all() and (table["dtw_per_step"] == 0.0).all()
+
+
+def test_reached_counts_captures_by_a_pursuer_only(demos: Demonstrations) -> None:
+    """Contact counts; a target that leaves, a pursuer that leaves and a time-out do not."""
+    table = measure(rollouts(demos, [0, 0, 0, 0], [chase(3, 0.1)] * 4), demos)
+    assert table["reached"].tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert table["captured"].tolist() == [True, False, False, True]
+
+
+def test_dtw_known_answers(demos: Demonstrations) -> None:
+    shifted = demos.episode(0).positions + [0.0, 0.25]
+    slower = np.repeat(demos.episode(0).positions, 2, axis=0)  # the same path at half the speed
+    made = rollouts(demos, [0, 0, 0], [demos.episode(0).positions, slower, shifted])
+    distances, pairs = dtw_alignments(made, demos)
+    assert distances[0] == pytest.approx(0.0) and distances[1] == pytest.approx(0.0)
+    assert distances[2, [0, 2]] == pytest.approx(11 * 0.25)  # crosswise to the path, or at rest
+    table = measure(made, demos)
+    assert table["dtw"][2] == pytest.approx(distances[2, :2].mean())
+    # The second pursuer moves along the shift: its path is aligned in 17 pairs, not 11.
+    assert pairs[2].tolist() == [11, 17, 11]
+    per_step = (distances[2, 0] / 11 + distances[2, 1] / 17) / 2
+    assert table["dtw_per_step"][2] == pytest.approx(per_step)
+
+
+def test_a_lone_searcher_is_measured_itself() -> None:
+    path = line(5, (0.1, 0.0), (0.0, 0.0))[:, None]
+    demos = demonstrations_of(
+        [path], species="silkmoth", individuals=("moth",), roles=("searcher",), dt=0.5,
+        arena=Arena("open", size=1.0), outcome=[1],
+    )  # fmt: skip
+    table = measure_recordings(demos)
+    assert table["path_length"][0] == pytest.approx(0.4)
+    assert table["duration"][0] == 2.0 and table["reached"][0] == 1.0
+
+
+def test_foreign_rollouts_are_refused(demos: Demonstrations) -> None:
+    made = rollouts(demos, [2], [chase(3, 0.1)])
+    with pytest.raises(InputError, match="were not made from"):
+        measure(made, demos.select(episodes=[0, 1]))

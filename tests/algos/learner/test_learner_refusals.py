@@ -21,7 +21,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.pretraining import Pretraining
 from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN, QRDQN, IQLearn
-from animarl_algos.runs.run_settings import RunSettings, asked_species, checked_species
+from animarl_algos.runs.run_settings import RunSettings, checked_species
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.wrappers import DTWReward
 
@@ -221,21 +221,12 @@ def wrapped_agent() -> gym.Env[Any, Any]:
     return DTWReward(gym.make("animarl_envs:AnimaRL/Agent-v0"))
 
 
-# -- training that diverges -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("prioritized", [False, True])
 def test_diverged_training_is_refused(prioritized: bool) -> None:
     diverging = {"learning_rate": 1e30, "max_grad_norm": None, "prioritized": prioritized}
     model = make_pair_learner("dqn", **diverging)
     refuses("online training diverged .* lower learning_rate", model.learn, 120)
     assert torch.isfinite(weights(model)).all()
-
-
-def test_diverged_offline_training_is_refused() -> None:
-    settings = {"offline_epochs": 6, "offline_learning_rate": 1e10, "offline_max_grad_norm": None}
-    model = make_pair_learner("dqdil-pt", **settings)
-    refuses("offline training diverged .* lower offline_learn", model.pretrain)
 
 
 def test_an_epoch_without_finite_values_is_never_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,9 +249,6 @@ def test_an_epoch_without_finite_values_is_never_the_best(monkeypatch: pytest.Mo
     assert best is not None and not any(w.isnan().any() for w in best.values())
 
 
-# -- a run's demonstrations -----------------------------------------------------------------------
-
-
 def settings(**more: Any) -> RunSettings:
     asked = {"file": "packaged", "species": "agent", "algo": "dqdil", "steps": 1}
     return RunSettings(**asked | more)
@@ -273,24 +261,21 @@ def test_what_a_run_is_compared_with_gets_its_policy_without_quantiles() -> None
     assert asked.learner("bc").arguments["policy_kwargs"] == {"hidden": 8}
 
 
-def one_condition() -> Any:
-    return load_packaged("agent").select(condition=1)
-
-
 @pytest.mark.parametrize(
     ("asked", "demos", "words"),
     [
         ({"species": "fly"}, "agent", "not of fly: give --species agent or another file"),
         ({"species": "silkmoth"}, "agent", "demonstrations of agent, not of silkmoth"),
         ({"species": "fly", "algo": "dqcil"}, "fly", "needs two experimental conditions and fly"),
-        ({"algo": "qr-dqcil-pt"}, "one condition", "all are of condition 1: choose qr-dqdil-pt"),
+        ({"algo": "qr-dqcil-pt"}, "agent alone", "all are of condition 1: choose qr-dqdil-pt"),
         ({"focal": "wolf"}, "agent", "focal is 'wolf': choose one of predator_0"),
     ],
 )
 def test_demonstrations_that_do_not_fit_the_run(
     asked: dict[str, Any], demos: str, words: str
 ) -> None:
-    given = one_condition() if demos == "one condition" else load_packaged(demos)
+    given = load_packaged(demos.removesuffix(" alone"))
+    given = given.select(condition=1) if demos.endswith("alone") else given
     refuses(words, checked_species, settings(**asked), given)
 
 
@@ -313,23 +298,11 @@ def test_bad_run_settings(asked: dict[str, Any], words: str) -> None:
     refuses(words, settings, **asked)
 
 
-def test_environment_and_species_must_agree() -> None:
-    assert asked_species("AnimaRL/Fly-v0", None) == "fly"
-    assert asked_species("AnimaRL/Custom-v0", "custom") == "custom"
-    assert asked_species(None, None) is None
-    refuses("contradict each other", asked_species, "AnimaRL/Fly-v0", "newt")
-    for foreign in ("CartPole-v1", "AnimaRL/Dodo-v0"):
-        refuses("none of AnimaRL's", asked_species, foreign, None)
-
-
-# -- settings that do not go together are refused; those that can be read are taken ---------------
-
-
 def refused(kind: type[SequenceQLearning], policy: str, **more: Any) -> str:
     return refuses("", kind, policy, toys.Pair(2), **SETTINGS | more)
 
 
-def test_a_memory_cannot_be_learned_from_single_steps() -> None:
+def test_settings_that_do_not_go_together_are_refused() -> None:
     said = refused(DQN, "GruPolicy", sequence_length=1)
     assert "sequence_length is 1" in said and "MlpPolicy" in said
     assert "sequence_length" in refused(DQN, "GruPolicy", sequence_length=1, state_mode="zero")
@@ -339,18 +312,10 @@ def test_a_memory_cannot_be_learned_from_single_steps() -> None:
         ("GruPolicy", {"sequence_length": 3, "burn_in": 2}),
     ):
         DQN(policy, toys.Pair(2), **SETTINGS | {"sequence_length": 1} | more).learn(20)
-
-
-def test_updates_per_episode_are_not_given_as_gradient_steps() -> None:
     assert "updates_per_episode" in refused(DQN, "GruPolicy", gradient_steps=50)
     DQN("GruPolicy", toys.Pair(2), **SETTINGS, gradient_steps=50, train_freq=4)
-
-
-@pytest.mark.parametrize(("kind", "count"), [(DQN, 5), (QRDQN, None)])
-def test_quantiles_belong_to_the_learners_on_quantiles(
-    kind: type[SequenceQLearning], count: int | None
-) -> None:
-    assert "n_quantiles" in refused(kind, "GruPolicy", policy_kwargs={"n_quantiles": count})
+    for kind, count in ((DQN, 5), (QRDQN, None)):
+        assert "n_quantiles" in refused(kind, "GruPolicy", policy_kwargs={"n_quantiles": count})
 
 
 def test_only_a_policy_with_a_memory_sees_its_previous_action_unless_asked() -> None:
@@ -375,15 +340,6 @@ def test_whole_numbers_may_be_written_as_floats() -> None:
     assert (weights(model.learn(60)) == weights(same.learn(60))).all()
 
 
-# -- the offline phase ----------------------------------------------------------------------------
-
-
-def test_cloning_needs_epochs() -> None:
-    model = BC("GruPolicy", toys.Pair(2), demonstrations=demonstrations(), **SETTINGS)
-    assert model.offline_epochs == BC.default_settings()["offline_epochs"] > 0
-    assert "give offline_epochs" in refused(BC, "GruPolicy", offline_epochs=0)
-
-
 def test_named_demonstrations_serve_an_environment_without_names() -> None:
     prey = {"focal": "prey", "recorded": True, "observation": "full"}
     single = DTWReward(gym.make("AnimaRL/Agent-v0", **prey))
@@ -392,14 +348,14 @@ def test_named_demonstrations_serve_an_environment_without_names() -> None:
     assert model.pretrain().done
 
 
-def test_pretraining_again_changes_nothing() -> None:
+def test_pretraining_needs_epochs_and_again_changes_nothing() -> None:
+    cloning = BC("GruPolicy", toys.Pair(2), demonstrations=demonstrations(), **SETTINGS)
+    assert cloning.offline_epochs == BC.default_settings()["offline_epochs"] > 0
+    assert "give offline_epochs" in refused(BC, "GruPolicy", offline_epochs=0)
+    without = make_pair_learner("dqdil", demonstrations=demonstrations())
+    refuses("give offline_epochs", without.pretrain)
     model = make_pair_learner("dqdil-pt")
     progress = model.pretrain()
     after = weights(model)
     assert model.pretrain() is progress and progress.epoch == len(progress.history) == 2
     assert (weights(model) == after).all()
-
-
-def test_there_is_nothing_to_pretrain_without_epochs() -> None:
-    model = make_pair_learner("dqdil", demonstrations=demonstrations())
-    refuses("give offline_epochs", model.pretrain)

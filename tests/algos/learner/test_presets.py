@@ -29,9 +29,6 @@ PAPERS_WORLD = {"observation": "paper", "rebound": False}
 OF_THE_PAPER = [name for name in RECIPES if "soft-bc" not in name and name != "iq-learn"]
 
 
-# -- every learner --------------------------------------------------------------------------------
-
-
 def presets(algo: str) -> tuple[str, ...]:
     return PRESETS if algo in OF_THE_PAPER else ("default",)
 
@@ -45,11 +42,6 @@ def test_every_recipe_can_be_made_from_its_settings(algo: str, preset: str) -> N
     assert (model.policy_kwargs.get("n_quantiles") == 20) == algo.startswith("qr-")
 
 
-def test_what_is_not_of_the_paper_has_no_numbers_of_it() -> None:
-    told = "soft-bc is not of the paper: choose preset 'default'"
-    refuses(told, learner_preset, "soft-bc", AGENT, "paper")
-
-
 @pytest.mark.parametrize(
     ("algo", "preset"), [(a, p) for a in RECIPES if a.startswith("qr-") for p in presets(a)]
 )
@@ -61,34 +53,6 @@ def test_a_quantile_twin_differs_in_its_quantiles_alone(algo: str, preset: str) 
         assert twin.arguments.pop("policy_kwargs") == quantiles
         plain.arguments.pop("policy_kwargs", None)
         assert twin == plain
-
-
-def test_files_are_plain_data() -> None:
-    """safe_load takes them, and every string in them is a name that is looked up in a table."""
-    for file in CONFIGS.iterdir():
-        if not file.name.endswith(".yml"):
-            continue
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
-        assert strings(content) - set(content) <= {*NAMES.split(), *RECIPES}
-
-
-NAMES = """
-    GruPolicy MlpPolicy head encoder recompute stored episode step cumulative closeness onset joint
-    chosen auto 1 epsilon:0.1 epsilon:0.5 paper epsilon boltzmann huber recipe hard soft tracking
-    lin_1e-3 pretraining cloning
-"""
-
-
-def strings(data: Any) -> set[str]:
-    """All string values (not keys) in nested data."""
-    if isinstance(data, dict):
-        return set().union(*map(strings, data.values())) if data else set()
-    if isinstance(data, list):
-        return set().union(*map(strings, data)) if data else set()
-    return {data} if isinstance(data, str) else set()
-
-
-# -- the paper's numbers, typed from its text -----------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -164,9 +128,6 @@ def test_the_pipeline_tests_with_the_papers_epsilon() -> None:
         found = pipeline_settings(environment_id(species), "paper")
         acting = f"epsilon:{numbers.epsilon_test:g}"
         assert found == {"acting": acting, "fit_method": "onset", "thrusts": "1"}
-
-
-# -- what is refused ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -252,16 +213,13 @@ def test_a_table_goes_over_the_one_below_key_by_key(tmp_path: Path) -> None:
     assert found.arguments["replay_buffer_kwargs"] == {"max_episodes": 5000, "alpha": 0.5}
 
 
-def test_null_takes_a_setting_of_the_files_below_back() -> None:
+def test_null_takes_a_setting_back_and_numbers_that_yaml_takes_for_text_are_numbers() -> None:
     one, whole = (
         learner_preset("dqdil", AGENT, "paper", {"env_kwargs": table})
         for table in ({"dtw": None}, None)
     )
     assert one.env_kwargs == PAPERS_WORLD | {"dtw": None}
     assert whole.env_kwargs == {}
-
-
-def test_numbers_that_yaml_takes_for_text_are_numbers() -> None:
     found = learner_preset("dqn", AGENT, "default", {"learning_rate": "1e-4", "batch_size": "8"})
     assert found.arguments["learning_rate"] == 1e-4 and found.arguments["batch_size"] == 8
 
@@ -271,6 +229,8 @@ def test_other_environments_have_the_default_preset_only() -> None:
     assert learner_preset("dqn", "CartPole-v1").n_timesteps == 50_000
     refuses("'paper' has no numbers for CartPole-v1", learner_preset, "dqn", "CartPole-v1", "paper")
     refuses("preset 'fast' is unknown", learner_preset, "dqn", AGENT, "fast")
+    told = "soft-bc is not of the paper: choose preset 'default'"
+    refuses(told, learner_preset, "soft-bc", AGENT, "paper")
 
 
 def test_a_file_that_is_its_own_base_is_refused(
@@ -288,11 +248,7 @@ def test_a_tasks_section_holds_for_the_policy_it_names() -> None:
     assert (other.sequence_length, other.gamma) == (None, 0.9)
 
 
-# -- a learner made in Python without settings has those of preset ``default``, for its species ---
-
-
 FOREIGN = "MountainCar-v0"
-CARTPOLE = "CartPole-v1"
 
 
 @cache
@@ -354,14 +310,6 @@ def test_a_learner_of_the_paper_takes_nothing_from_the_default(algo: str) -> Non
     assert {name: in_use(model, name) for name in settings} == settings
 
 
-@pytest.mark.parametrize("algo", ["dqn", "qr-dqn"])
-def test_in_a_foreign_environment_the_common_ones(algo: str) -> None:
-    model = make(algo, FOREIGN)
-    settings = expected(algo, FOREIGN)
-    assert {name: in_use(model, name) for name in settings} == settings
-    assert settings == expected(algo, "Another-v0")
-
-
 def test_every_way_to_name_a_species_is_understood() -> None:
     moth = environment_id("silkmoth")
     environments = [moth, gym.make(moth), slots("silkmoth")]
@@ -371,13 +319,16 @@ def test_every_way_to_name_a_species_is_understood() -> None:
     assert rate != expected("dqn", FOREIGN)["learning_rate"]
     for env in environments[1:]:
         assert DQN(env=env, device="cpu").learning_rate == rate
+    for algo in ("dqn", "qr-dqn"):
+        model, settings = make(algo, FOREIGN), expected(algo, FOREIGN)
+        assert {name: in_use(model, name) for name in settings} == settings
     assert section_of(None) == section_of(toys.Pair(2)) == ""
 
 
-@pytest.mark.parametrize("task", [CARTPOLE, "Acrobot-v1"])
+@pytest.mark.parametrize("task", ["CartPole-v1", "Acrobot-v1"])
 def test_an_ordinary_task_has_a_section_however_it_is_given(task: str) -> None:
     settings = expected("dqn", task)
-    assert settings != expected("dqn", FOREIGN)
+    assert settings != expected("dqn", FOREIGN) == expected("dqn", "Another-v0")
     for env in (task, gym.make(task), DummyVecEnv([lambda: gym.make(task)]), make_vec_env(task, 2)):
         assert section_of(env) == task
         model = DQN(env=env, device="cpu")
@@ -392,29 +343,20 @@ def test_what_is_given_goes_over_the_preset_and_tables_key_by_key() -> None:
     changed = {"policy": "MlpPolicy", "gamma": 0.5, "policy_kwargs": network}
     for name, value in (expected("qr-dqn", environment_id("agent")) | changed).items():
         assert in_use(model, name) == value
-
-
-def test_none_empties_a_table_of_the_preset() -> None:
     assert RECIPES["bc"].algorithm(env=slots("agent"), device="cpu").offline_kwargs
     emptied = RECIPES["bc"].algorithm(env=slots("agent"), device="cpu", offline_kwargs=None)
     assert emptied.offline_kwargs == {}
-
-
-def test_a_misspelt_setting_is_refused() -> None:
     told = "'learning_rat' is unknown: choose among .*learning_rate"
     refuses(told, DQN, env=slots("agent"), learning_rat=1e-3)
 
 
-def test_the_settings_are_listed_and_explained_once() -> None:
+def test_the_settings_are_listed_and_explained_once_and_can_be_looked_up() -> None:
     named = {"policy", "learning_rate"}
     assert set(LearnerSettings.__annotations__) | named == set(default_settings())
     shown = pydoc.render_doc(DQDIL, renderer=pydoc.plaintext)
     entries = {name for line in shown.splitlines() for name in line.strip(" |").split(", ")}
     assert set(default_settings()) <= entries
     assert "zoo_configs" in shown and "demonstrations" in entries
-
-
-def test_the_settings_of_a_recipe_can_be_looked_up() -> None:
     plain = DQDIL.default_settings(environment_id("agent"))
     pretrained = DQDIL.default_settings(pretrained=True)
     assert plain["offline_epochs"] == 0 < pretrained["offline_epochs"]

@@ -21,9 +21,12 @@ from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import DQDIL, DQN
 
 
-def saved(folder: Path) -> Path:
-    make_pair_learner("dqn").learn(40).save(folder / "model")
-    return folder / "model"
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A learner after forty steps."""
+    file = tmp_path_factory.mktemp("saved") / "model"
+    make_pair_learner("dqn").learn(40).save(file)
+    return file
 
 
 def test_the_acting_rule_is_saved_as_it_was_set(tmp_path: Path) -> None:
@@ -40,23 +43,15 @@ def test_the_acting_rule_is_saved_as_it_was_set(tmp_path: Path) -> None:
         np.testing.assert_array_equal(loaded.predict(observation)[0], model.predict(observation)[0])
 
 
-# -- another environment --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("copies", [2, 3])
-def test_a_loaded_learner_goes_on_in_the_environment_it_is_given(
-    copies: int, tmp_path: Path
-) -> None:
-    loaded = DQN.load(saved(tmp_path), device="cpu")
+def test_a_loaded_learner_goes_on_in_the_environment_it_is_given(copies: int, saved: Path) -> None:
+    loaded = DQN.load(saved, device="cpu")
+    refuses("call set_env first", loaded.learn, 10)
     before = weights(loaded)
     loaded.set_env(toys.Pair(copies))
     loaded.learn(60)
     assert loaded.layout.num_copies == copies and loaded.num_timesteps == 60
     assert not torch.equal(before, weights(loaded))
-
-
-def test_a_loaded_learner_without_environment_cannot_learn(tmp_path: Path) -> None:
-    refuses("call set_env first", DQN.load(saved(tmp_path), device="cpu").learn, 10)
 
 
 class Strangers(toys.Pair):
@@ -77,30 +72,29 @@ class Narrow(toys.Pair):
     ],
 )
 def test_an_environment_that_does_not_fit_is_refused_and_changes_nothing(
-    other: Callable[[], Any], words: str, tmp_path: Path
+    other: Callable[[], Any], words: str, saved: Path
 ) -> None:
-    for model in (DQN.load(saved(tmp_path), device="cpu"), make_pair_learner("dqn")):
+    for model in (DQN.load(saved, device="cpu"), make_pair_learner("dqn")):
         before = (model.n_envs, model.layout)
         refuses(words, model.set_env, other())
         assert (model.n_envs, model.layout) == before
 
 
-def test_an_environment_that_does_not_fit_is_refused_by_load_too(tmp_path: Path) -> None:
+def test_an_environment_that_does_not_fit_is_refused_by_load_too(
+    saved: Path, tmp_path: Path
+) -> None:
+    """Nor is an individual taken for another: networks of a predator and the prey are as large."""
     words = "the individuals owl, mouse and no condition flag"
-    refuses(words, DQN.load, saved(tmp_path), env=Strangers(2), device="cpu")
+    refuses(words, DQN.load, saved, env=Strangers(2), device="cpu")
     words = r"Observation spaces do not match.*: give the environment it was"
-    refuses(words, DQN.load, saved(tmp_path), env=FlaggedPair(2), device="cpu")
-
-
-def test_an_individual_is_not_loaded_as_another(tmp_path: Path) -> None:
-    """Networks of a predator and of the prey have the same sizes."""
-    DQN("MlpPolicy", SlotVecEnv("agent", 2, focal="predator_1"), device="cpu").save(tmp_path / "m")
-    words, prey = (
-        "individuals prey .*, this learner .*predator_1",
-        SlotVecEnv("agent", 2, focal="prey"),
+    refuses(words, DQN.load, saved, env=FlaggedPair(2), device="cpu")
+    predator, again, prey = (
+        SlotVecEnv("agent", copies, focal=focal)
+        for copies, focal in ((2, "predator_1"), (3, "predator_1"), (2, "prey"))
     )
+    DQN("MlpPolicy", predator, device="cpu").save(tmp_path / "m")
+    words = "individuals prey .*, this learner .*predator_1"
     refuses(words, DQN.load, tmp_path / "m", env=prey, device="cpu")
-    again = SlotVecEnv("agent", 3, focal="predator_1")
     assert DQN.load(tmp_path / "m", env=again, device="cpu").layout.num_copies == 3
 
 
@@ -112,9 +106,7 @@ def test_a_replay_memory_keeps_its_copies_and_its_longest_episode() -> None:
     model = make_pair_learner("dqn")
     refuses("does not suit this learner", model.set_env, toys.Pair(4))
     refuses("episodes last up to 1000 steps", model.set_env, Patient(2))
-
-
-def test_an_environment_that_names_no_limit_is_taken_where_there_is_a_memory() -> None:
+    # One that names no limit is taken where there is a memory.
     model = DQN("MlpPolicy", gym.make("CartPole-v1"), **SETTINGS)
     model.set_env(CartPoleEnv())
     assert model.learn(20).num_timesteps == 20
@@ -126,9 +118,6 @@ def test_saved_settings_are_taken_as_they_were(tmp_path: Path) -> None:
     model.gradient_steps = 8
     model.save(tmp_path / "model")
     assert DQN.load(tmp_path / "model", env=toys.Pair(2), device="cpu").learn(20).gradient_steps
-
-
-# -- the offline phase ----------------------------------------------------------------------------
 
 
 class Stop(Exception):
@@ -163,13 +152,6 @@ def test_a_learner_saved_in_mid_pretraining_keeps_its_best_epoch(
         assert torch.equal(value, best[name])
 
 
-def test_a_learner_without_environment_is_refused() -> None:
-    refuses("give env=", DQN, "GruPolicy", **SETTINGS)
-
-
-# -- the replay memory ----------------------------------------------------------------------------
-
-
 def test_the_replay_memory_is_saved_and_loaded_without_pickle(tmp_path: Path) -> None:
     model = make_pair_learner("dqn").learn(60)
     model.save_replay_buffer(tmp_path / "memory.pkl")  # as SB3's callbacks call it
@@ -184,16 +166,11 @@ def test_the_replay_memory_is_saved_and_loaded_without_pickle(tmp_path: Path) ->
         assert other.replay_buffer.num_steps == model.replay_buffer.num_steps
         assert torch.equal(other.replay_buffer.sample(8).observations, expected.observations)
         assert other.learn(20, reset_num_timesteps=False).num_timesteps == 20
-
-
-def test_a_replay_memory_may_go_to_another_number_of_copies(tmp_path: Path) -> None:
-    model = make_pair_learner("dqn").learn(60)
-    model.save_replay_buffer(tmp_path / "memory")
-    other = DQN("GruPolicy", toys.Pair(5), **SETTINGS)
-    other.load_replay_buffer(tmp_path / "memory")
-    assert model.replay_buffer is not None and other.replay_buffer is not None
-    assert other.replay_buffer.num_episodes == model.replay_buffer.num_episodes > 0
-    assert other.learn(50).num_timesteps == 50
+    more = DQN("GruPolicy", toys.Pair(5), **SETTINGS)
+    more.load_replay_buffer(tmp_path / "memory.pkl")
+    assert more.replay_buffer is not None
+    assert more.replay_buffer.num_episodes == model.replay_buffer.num_episodes > 0
+    assert more.learn(50).num_timesteps == 50
 
 
 def test_a_memory_that_cannot_be_written_leaves_the_last_one(tmp_path: Path, monkeypatch) -> None:
@@ -212,12 +189,12 @@ def test_a_memory_that_cannot_be_written_leaves_the_last_one(tmp_path: Path, mon
     assert (tmp_path / "memory.npz").read_bytes() == before
 
 
-def test_what_is_no_replay_memory_is_refused(tmp_path: Path) -> None:
+def test_what_is_no_replay_memory_is_refused(saved: Path, tmp_path: Path) -> None:
     model = make_pair_learner("dqn")
     (tmp_path / "pickle.pkl").write_bytes(pickle.dumps({"rows": 3}))
     np.save(tmp_path / "array.npy", np.zeros(3))
     np.savez(tmp_path / "arrays.npz", rows=np.zeros(3))
     for name in ("pickle.pkl", "array.npy", "arrays.npz", "missing.npz"):
         refuses(name, model.load_replay_buffer, tmp_path / name)
-    loaded = DQN.load(saved(tmp_path), device="cpu")
+    loaded = DQN.load(saved, device="cpu")
     refuses("call set_env first", loaded.save_replay_buffer, tmp_path / "memory")

@@ -9,12 +9,47 @@ import pytest
 import torch
 from reference_network import run_network
 from refusals import refuses
-from sequences import LENGTHS, A, B, H, K, N, T, batch, torch_gru, valid_steps
+from torch import nn
 
 from animarl_algos.losses.values import masked_mean, share_gradients, take_action
 from animarl_algos.networks.acting_rule import Acting, two_stage_logits
 from animarl_algos.networks.layers import DropoutDraws, Packing, StackedGRU
 from animarl_algos.networks.networks import QOutput, StackedQNetwork
+
+K, T, B, N, H, A = 3, 7, 4, 5, 6, 4  # individuals, steps, sequences, components, units, actions
+LENGTHS = np.array([[7, 5, 4, 1], [6, 6, 2, 2], [7, 3, 3, 0]])
+
+
+def batch(seed: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Observations ``(K, T, B, N)`` and previous actions ``(K, T, B)``, ``A`` for none."""
+    generator = torch.Generator().manual_seed(seed)
+    observations = torch.randn(K, T, B, N, generator=generator)
+    previous = torch.randint(0, A + 1, (K, T, B), generator=generator)
+    return observations, previous
+
+
+def valid_steps(lengths: np.ndarray = LENGTHS) -> torch.Tensor:
+    """``(K, T, B)``: the steps that are no padding."""
+    return torch.from_numpy(np.arange(T)[None, :, None] < lengths[:, None, :])
+
+
+def torch_gru(
+    k: int,
+    weight_input: torch.Tensor,
+    weight_hidden: torch.Tensor,
+    bias_input: torch.Tensor,
+    bias_hidden: torch.Tensor,
+) -> nn.GRU:
+    """Individual k's weights in PyTorch's own GRU."""
+    _, inputs, units = weight_input.shape
+    reference = nn.GRU(inputs, units // 3).to(weight_input.device, weight_input.dtype)
+    with torch.no_grad():
+        reference.weight_ih_l0.copy_(weight_input[k].T)
+        reference.weight_hh_l0.copy_(weight_hidden[k].T)
+        reference.bias_ih_l0.copy_(bias_input[k, 0])
+        reference.bias_hh_l0.copy_(bias_hidden[k, 0])
+    return reference
+
 
 NAMES = ("predator_0", "predator_1", "prey")
 
@@ -206,9 +241,6 @@ def test_impossible_networks_are_refused(build: Callable[[], StackedQNetwork]) -
     refuses("", build)
 
 
-# -- other shapes and standardised inputs ---------------------------------------------------------
-
-
 def test_standardised_inputs_are_those_of_a_network_that_gets_them_so() -> None:
     """By hand, clipped; the flag as it is, a constant component on its own scale."""
     network = StackedQNetwork(("a", "b"), 4, 3, hidden=8, recurrent=False, condition_flag=True)
@@ -256,9 +288,6 @@ def test_dropout_is_one_mask_per_sequence_and_keeps_the_mean() -> None:
     alone = DropoutDraws(0.25, [1, 2], ("b",)).masks(2, 500, 16)
     assert alone is not None and torch.equal(alone[:, 0], masks[:, 1])
     assert DropoutDraws(0.0, [1], ("a",)).masks(2, 3, 4) is None
-
-
-# -- the acting rule: data that is checked, written and read, and what it chooses -----------------
 
 
 RULES = {
@@ -331,9 +360,6 @@ def test_how_hard_and_which_way_have_temperatures_of_their_own(thrusts: int) -> 
         sampled = np.exp(two_stage_logits(logits[None], thrust, direction)[0])
         np.testing.assert_allclose(sampled, odds(thrust, direction, logits), rtol=1e-12)
     assert np.isfinite(two_stage_logits(1e4 * logits[None], 0.1, 0.1)).all()
-
-
-# -- the stacked GRU equals PyTorch's for each individual, and packing loses no step --------------
 
 
 def made(dtype: torch.dtype, device: str = "cpu") -> tuple[StackedGRU, torch.Tensor]:

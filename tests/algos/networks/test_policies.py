@@ -137,17 +137,6 @@ def test_episode_start_resets_those_slots_only() -> None:
         np.testing.assert_array_equal(before, after)
 
 
-def test_memory_is_hidden_state_and_executed_action() -> None:
-    policy = make()
-    observations = observe(2)
-    actions, (hidden, previous) = policy.predict(observations[0], deterministic=True)
-    np.testing.assert_array_equal(previous, actions)
-    executed = (actions + 1) % A
-    as_chosen, _, _ = policy.advance(observations[1], (hidden, previous), None)
-    as_executed, _, _ = policy.advance(observations[1], (hidden, executed), None)
-    assert not np.allclose(as_chosen, as_executed)
-
-
 @kinds
 def test_slots_that_are_over_cost_nothing_and_change_no_other(kind: type[GruPolicy]) -> None:
     policy = make(kind, previous_action=True, acting=Acting.boltzmann(1.0))

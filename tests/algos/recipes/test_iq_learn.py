@@ -153,9 +153,6 @@ def test_individuals_are_their_own() -> None:
     assert after[0] == together[0] and after[1] != together[1]
 
 
-# -- from clone to learner ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("quantiles", [None, 4])
 @pytest.mark.parametrize("recurrent", [False, True])
 def test_zeroing_the_value_stream_keeps_the_policy(recurrent: bool, quantiles: int | None) -> None:
@@ -199,9 +196,6 @@ def test_it_samples_and_needs_demonstrations() -> None:
     refuses(told, make_pair_learner, "iq-learn", exploration="epsilon")
     told = "iq-learn learns from demonstrations and neither it nor"
     refuses(told, make_pair_learner, "iq-learn", offline_epochs=0, demonstrations=None)
-
-
-# -- an expert that is known ----------------------------------------------------------------------
 
 
 class Valley(toys.Toy):

@@ -1,7 +1,6 @@
 """The recipes: they run, repeat, save, load, log, and learn offline."""
 
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -226,9 +225,6 @@ def test_cloning_keeps_the_adversary_and_the_online_phase(name: str) -> None:
     assert cloning.online == recipe.online
 
 
-# -- the offline phase ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "name", ["bc", "soft-bc", "dqaas", "dqdil-pt", "dqcil-pt", "qr-bc", "qr-dqdil-pt"]
 )
@@ -245,49 +241,6 @@ def test_the_demonstrated_action_comes_to_rank_first(name: str) -> None:
             assert 0.0 <= best["val/treatment_balanced_accuracy"] <= 1.0
 
 
-# -- the recipes train each individual as if it were alone: what is stacked does not mix ----------
-
-
-@pytest.fixture
-def in_double() -> Iterator[None]:
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
-
-
-@pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-dqdil-pt"])
-def test_individuals_together_are_individuals_alone(name: str, in_double: None) -> None:
-    """Offline, from the same demonstrations and seed: the same weights, to rounding.
-
-    In double precision: Adam divides by the size of the gradient, so that rounding of a gradient
-    near zero makes steps as large as any.
-    """
-
-    class Alone(toys.Recall):
-        num_observations = 4
-        feedback = ("dtw_penalty", "aligned_action")  # declared; the offline phase asks for none
-
-    together = make_pair_learner(name)
-    together.pretrain()
-    for k, who in enumerate(toys.Pair.individuals):
-        env = Alone(2)
-        env.individuals = (who,)
-        settings = SETTINGS | {"offline_epochs": 2}
-        alone = named_recipe(name).algorithm(
-            "GruPolicy", env, demonstrations=demonstrations(individuals=(who,)), **settings
-        )
-        run = alone.pretrain()
-        for whole, single in zip(together.offline_progress.history, run.history, strict=True):
-            assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
-        assert run.best_epochs == together.offline_progress.best_epochs[k : k + 1]
-        mine, own = together.q_net.parameters(), alone.q_net.parameters()
-        for stacked, single in zip(mine, own, strict=True):
-            torch.testing.assert_close(stacked[k], single[0], atol=1e-10, rtol=1e-10)
-
-
-# -- what joins the parts of a learner: each schedule, state and weight reaches where it belongs --
-
-
 NEVER = 10**9
 WIRING: dict[str, Any] = {
     "buffer_size": 1000,
@@ -297,9 +250,6 @@ WIRING: dict[str, Any] = {
     "seed": 2,
     "device": "cpu",
 }
-
-
-# -- schedules ------------------------------------------------------------------------------------
 
 
 def test_steps_before_learning_starts_are_acted_at_random() -> None:
@@ -343,9 +293,6 @@ def test_the_task_reward_is_stored_where_the_reward_is_shaped_already() -> None:
         assert not np.allclose(found, shaped[episode])
 
 
-# -- the offline phase ----------------------------------------------------------------------------
-
-
 def test_the_target_is_renewed_after_every_offline_epoch() -> None:
     model = make_pair_learner(
         "dqdil-pt", demonstrations=demonstrations(), offline_epochs=3, offline_learning_rate=1e-2
@@ -366,9 +313,6 @@ def test_the_target_is_renewed_after_every_offline_epoch() -> None:
     for online, target in seen:
         assert torch.equal(online, target)
     assert not torch.equal(seen[0][0], seen[1][0])
-
-
-# -- whole runs of the learners against a plain reference that follows the same steps and draws ---
 
 
 STEPS = 120

@@ -1,5 +1,6 @@
 """The sequence replay against a plain Python reference that keeps everything in lists."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,70 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refuses
 from scipy import stats
-from step_streams import NUM_ACTIONS, STATE, Stream, fill, make_buffer
 
 from animarl_algos.replay import sequence_buffer
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.sequence_kernels import SumTrees, find_leaf, set_leaf
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
+
+NUM_ACTIONS = 5
+STATE = 2
+
+
+@dataclass
+class Stream:
+    """Random steps of ``copies`` worlds; every number in it is drawn once and so recognisable."""
+
+    copies: int
+    individuals: int
+    dim: int
+    max_steps: int
+    seed: int
+    end_rate: float = 0.2
+    warmup_steps: int = 0
+
+    def steps(self, count: int) -> Iterator[dict[str, Any]]:
+        """``count`` steps as the arguments of :meth:`SequenceReplayBuffer.add`."""
+        rng = np.random.default_rng(self.seed)
+        each, pair = (self.copies,), (self.copies, self.individuals)
+        now = rng.normal(size=(*pair, self.dim)).astype(np.float32)
+        age = np.zeros(self.copies, dtype=int)
+        condition = rng.integers(0, 2, each)
+        for _ in range(count):
+            following = rng.normal(size=(*pair, self.dim)).astype(np.float32)
+            terminated = rng.random(self.copies) < self.end_rate / 2
+            truncated = (rng.random(self.copies) < self.end_rate / 2) | (age + 1 == self.max_steps)
+            truncated &= ~terminated
+            yield {
+                "observations": now,
+                "actions": rng.integers(0, NUM_ACTIONS, pair),
+                "rewards": rng.normal(size=pair).astype(np.float32),
+                "next_observations": following,
+                "terminated": terminated,
+                "truncated": truncated,
+                "penalties": rng.random(pair).astype(np.float32),
+                "labels": rng.integers(-1, NUM_ACTIONS, pair),
+                "warmup": age < self.warmup_steps,
+                "hidden": rng.normal(size=(*pair, STATE)).astype(np.float32),
+                "condition": condition.copy(),
+            }
+            done = terminated | truncated
+            age = np.where(done, 0, age + 1)
+            now = np.where(done[:, None, None], rng.normal(size=now.shape), following)
+            now = now.astype(np.float32)
+            condition[done] = rng.integers(0, 2, done.sum())
+
+
+def make_buffer(stream: Stream, capacity: int, **options: Any) -> SequenceReplayBuffer:
+    sizes = (capacity, stream.dim, stream.individuals, NUM_ACTIONS, stream.max_steps)
+    return SequenceReplayBuffer(*sizes, stream.copies, **options)
+
+
+def fill(buffer: SequenceReplayBuffer, stream: Stream, count: int = 60) -> SequenceReplayBuffer:
+    for step in stream.steps(count):
+        buffer.add(**step)
+    return buffer
 
 
 @dataclass
@@ -230,9 +288,6 @@ def test_moments_are_those_of_the_episodes_that_are_held() -> None:
     np.testing.assert_allclose(sd, held.std(0), atol=1e-6)
 
 
-# -- prioritised replay: the sum tree, the proportional rule, and the importance weights ----------
-
-
 def set_leaves(trees: SumTrees, k: int, leaves: Any, values: Any) -> None:
     for leaf, value in zip(leaves, values, strict=True):
         set_leaf(trees.nodes, k, leaf, value)
@@ -282,6 +337,15 @@ def test_draws_follow_the_proportional_rule() -> None:
     assert stats.chisquare(counts, expected).pvalue > 0.001
 
 
+def test_importance_weights_by_formula() -> None:
+    buffer, priorities = filled_with_priorities()
+    for progress, beta in ((0.0, 0.4), (0.5, 0.7), (1.0, 1.0), (2.0, 1.0)):
+        batch = buffer.sample(16, progress)
+        probability = priorities[batch.indices[0]] / priorities.sum()
+        weights = (len(priorities) * probability) ** -beta
+        np.testing.assert_allclose(batch.weights[0], weights / weights.max(), rtol=1e-5)
+
+
 def test_uniform_draws_are_uniform_and_unweighted() -> None:
     stream = Stream(1, 2, 2, 4, seed=3)
     buffer = fill(make_buffer(stream, 30, prioritized=False), stream, 80)
@@ -290,15 +354,6 @@ def test_uniform_draws_are_uniform_and_unweighted() -> None:
     assert len(counts) == buffer.num_sequences > 3
     assert stats.chisquare(counts).pvalue > 0.001
     assert (batch.weights == 1).all()
-
-
-def test_importance_weights_by_formula() -> None:
-    buffer, priorities = filled_with_priorities()
-    for progress, beta in ((0.0, 0.4), (0.5, 0.7), (1.0, 1.0), (2.0, 1.0)):
-        batch = buffer.sample(16, progress)
-        probability = priorities[batch.indices[0]] / priorities.sum()
-        weights = (len(priorities) * probability) ** -beta
-        np.testing.assert_allclose(batch.weights[0], weights / weights.max(), rtol=1e-5)
 
 
 def test_errors_of_evicted_sequences_change_nothing() -> None:
@@ -316,18 +371,12 @@ def test_errors_of_evicted_sequences_change_nothing() -> None:
     assert buffer.ring.max_priority.tolist() == [1.0]
 
 
-# -- what a sequence replay takes of the memory, what it refuses, and how its state goes on -------
-
-
-def test_memory_is_stated_and_only_its_used_part_is_saved() -> None:
+def test_memory_is_stated_and_only_its_used_part_is_saved(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = Stream(4, 2, 3, 9, seed=11)
     buffer = fill(make_buffer(stream, 60_000), stream, 30)
     rows = buffer.ring.frames.observations.nbytes
     assert rows == 60_000 * 2 * 3 * 4 < buffer.nbytes
     assert sum(np.asarray(value).nbytes for value in buffer.state().values()) < 0.01 * rows
-
-
-def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sequence_buffer, "available_memory", lambda: 10 * 2**20)
     needs = r"buffer_size 1000000 needs .* GiB .* available"
     refuses(needs, SequenceReplayBuffer, 1_000_000, 18, 3, 13, 148)
@@ -362,9 +411,6 @@ def test_bad_steps_are_refused() -> None:
             buffer.add(**step | {"truncated": np.zeros(2, dtype=bool)})
     undefined = np.full((2, 1), np.nan)
     refuses("finite", buffer.update_priorities, np.zeros((2, 1), dtype=np.int64), undefined)
-
-
-# -- its state ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["episodes", "pieces", "uniform"])

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import chromium
 from report_inputs import asked_page, report_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -14,12 +13,6 @@ api = pytest.importorskip("playwright.sync_api", reason="playwright is not insta
 Open = Callable[..., Any]
 WIDTHS = (390, 768, 1440)
 ENDINGS = ("contact by", "time-out", "target left", "a pursuer left")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +63,6 @@ def drawn(page: Any) -> list[str]:
     return list(
         page.eval_on_selector_all("#panels canvas", "all => all.map(one => one.toDataURL())")
     )
-
-
-# -- the player -----------------------------------------------------------------------------------
 
 
 def test_the_player_plays_to_the_end_and_begins_again(open_page: Open) -> None:
@@ -174,9 +164,6 @@ def test_verdict_and_player_are_on_the_first_screen(
         assert box["y"] >= 0 and box["y"] + min(box["height"], 100) < height
 
 
-# -- tables and downloads -------------------------------------------------------------------------
-
-
 def numbers(page: Any, table: str, column: int, body: int = 0) -> list[str]:
     rows = page.locator(f"{table} >> tbody >> nth={body} >> tr:not(.group)")
     return [rows.nth(i).locator("th, td").nth(column).inner_text() for i in range(rows.count())]
@@ -229,9 +216,6 @@ def test_figures_and_tables_are_saved(open_page: Open, tmp_path: Path) -> None:
     mean = "path length (arena units)"
     for row in table:
         assert float(row[f"{mean} low"]) <= float(row[mean]) <= float(row[f"{mean} high"])
-
-
-# -- looks ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("width", WIDTHS)

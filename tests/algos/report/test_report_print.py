@@ -4,12 +4,10 @@ None is half empty. Printed by the browser, and read back with the place of ever
 """
 
 import unicodedata
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import chromium
 from report_inputs import asked_page, inspected_page, report_page
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -20,12 +18,6 @@ SAME_LINE = 2.0  # [pt]
 # What goes with the thing below it, and the captions that go with the picture above.
 BEFORE = "h2, h3, section > p, figure.table > figcaption, summary, tr.group"
 AFTER = ".pictures > figcaption"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 def plain(text: str) -> str:

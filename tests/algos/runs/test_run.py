@@ -61,12 +61,9 @@ def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:
     assert actions.shape == (3,)
     refuses("no such folder and no packaged model", load_run, run.path / "nowhere")
     refuses("not a run folder", load_run, ROOT)
-
-
-def test_a_packaged_model_is_loaded_by_its_name() -> None:
-    loaded = load_run("fly")
-    assert loaded.path == model_folder("fly")
-    assert loaded.scenario.species.locomotion == loaded.fit.locomotion
+    packaged = load_run("fly")
+    assert packaged.path == model_folder("fly")
+    assert packaged.scenario.species.locomotion == packaged.fit.locomotion
 
 
 def test_each_file_of_a_run_is_read_once(run: Run) -> None:
@@ -131,8 +128,6 @@ def test_the_page_runs_in_ten_lines(
     assert said.count("caught in") == 2 and "prey 20 % stronger" in said
 
 
-# -- its world ---
-
 LIMIT = 20
 
 
@@ -146,16 +141,13 @@ def limited(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return made(tmp_path_factory.mktemp("limited"), env_kwargs=options)
 
 
-def test_rollouts_end_at_the_trained_limit(limited: Run) -> None:
+def test_the_world_of_training_is_that_of_rollouts_watching_and_the_page(limited: Run) -> None:
     rollouts = limited.rollouts()["DQCIL-PT"]
     assert rollouts.lengths.max() - 1 <= LIMIT
     scenario = limited.scenario
     assert scenario.species.time_limit == LIMIT and scenario.species.contact_radius == 0.02
     assert scenario.species.arena.size == 1.5 and scenario.observation_delay == 2
-
-
-def test_training_evaluation_and_watching_share_their_world(limited: Run) -> None:
-    """Every option once: a factor on the thrust is not applied again."""
+    # Training, evaluation and watching share it: a factor on the thrust is not applied again.
     species = limited.species
     fitted = limited.fit.locomotion[2]
     assert species.locomotion[2].thrust == pytest.approx(0.5 * fitted.thrust)
@@ -164,9 +156,6 @@ def test_training_evaluation_and_watching_share_their_world(limited: Run) -> Non
     assert env.scenario.species == species == limited.scenario.species
     assert world.scenario.species == species
     assert env.scenario.observation_delay == world.scenario.observation_delay == 2
-
-
-def test_the_page_lists_the_world(limited: Run) -> None:
     pipeline.evaluate_run(limited)
     page = pipeline.report(limited).read_text()
     for words in (f"{LIMIT} steps (2 s)", "0.02 arena units", "environment.time_limit",
@@ -206,8 +195,6 @@ def test_a_run_keeps_its_world_whatever_the_defaults_become(
     assert (env.observation_space.shape == (19,)) == (kind == "paper")
 
 
-# -- lock, machine, time ---
-
 HOLD = """
 import sys, time
 from pathlib import Path
@@ -226,12 +213,7 @@ def test_a_second_process_is_told_and_a_killed_one_lets_go(tmp_path: Path) -> No
         with pytest.raises(InputError, match="another process is at work"), run.lock():
             pass
         first.kill()
-    with run.lock():
-        pass
-
-
-def test_stages_of_one_process_may_call_each_other(tmp_path: Path) -> None:
-    for folder in (tmp_path, tmp_path / "nowhere"):
+    for folder in (tmp_path, tmp_path / "nowhere"):  # stages of one process may call each other
         with Run(folder).lock(), Run(folder).lock():
             pass
     assert not (tmp_path / "nowhere").exists()
@@ -258,13 +240,6 @@ def test_the_commit_is_that_of_the_code_and_changes_are_told(tmp_path: Path) -> 
     assert commit(tmp_path) == f"{head} with changes"
 
 
-def test_the_machine_is_told_in_texts() -> None:
-    told = machine()
-    assert set(told) == {"commit", "system", "processor", "accelerator"}
-    assert all(text and "None" not in text for text in told.values())
-    assert "logical cores" in told["processor"]
-
-
 def test_times_of_a_stage_add_up_and_what_fails_is_not_timed(tmp_path: Path) -> None:
     run = Run(tmp_path)
     with pytest.raises(ZeroDivisionError), run.timed("training"):
@@ -278,7 +253,11 @@ def test_times_of_a_stage_add_up_and_what_fails_is_not_timed(tmp_path: Path) -> 
     assert run.wall_times()["training"] >= once >= 0.0
 
 
-def test_times_and_settings_are_told_in_words() -> None:
+def test_machine_times_and_settings_are_told_in_words() -> None:
+    told = machine()
+    assert set(told) == {"commit", "system", "processor", "accelerator"}
+    assert all(text and "None" not in text for text in told.values())
+    assert "logical cores" in told["processor"]
     assert [duration(s) for s in (3.21, 90.0, 600.0, 9000.0)] == [
         "3.2 s", "90.0 s", "10.0 min", "2.5 h",
     ]  # fmt: skip
@@ -287,9 +266,6 @@ def test_times_and_settings_are_told_in_words() -> None:
         ("a", "not set"), ("b.c", "yes"), ("b.d", "not set"), ("e", "1, not set"),
         ("f", "not set"), ("g", "not set"),
     ]  # fmt: skip
-
-
-# -- warnings ---
 
 
 def run_of(folder: Path, algo: str, curves: dict[str, list[float]]) -> SimpleNamespace:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium
 from commands import animarl
 from small_runs import few, made
 
@@ -207,22 +206,12 @@ def test_a_page_that_is_too_large_is_refused_and_nothing_is_left(
         animarl("page", "agent", "--species", "fly", "--out", tmp_path / "page.html")
 
 
-# -- in the browser ---------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("page") / "fly.html"
     animarl("page", "packaged", "--species", "fly", "--out", file)
     assert file.stat().st_size < 5_000_000
     return file
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture

@@ -26,9 +26,6 @@ NAMES = sorted(PUBLISHED)
 DOCS = Path(__file__).parents[3] / "docs"
 
 
-# -- the packaged files ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_packaged_courtship_is_small_and_says_that_it_is_synthetic(name):
     demos = load_packaged(name)
@@ -42,7 +39,7 @@ def test_packaged_courtship_is_small_and_says_that_it_is_synthetic(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_statistics_are_those_published(name):
+def test_statistics_are_those_published_from_far_to_contact_or_the_limit(name):
     demos, published = load_packaged(name), PUBLISHED[name]
     duration = (demos.lengths - 1) * demos.dt
     assert demos.num_episodes == published.episodes
@@ -54,11 +51,7 @@ def test_statistics_are_those_published(name):
     counts = tuple(int((demos.split == split).sum()) for split in ("train", "val", "test"))
     assert counts == published.splits
     assert len(set(demos.recording)) == demos.num_episodes  # none shares a session with another
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_episodes_start_far_and_end_at_contact_or_the_limit(name):
-    demos, species = load_packaged(name), get_species(name)
+    species = get_species(name)
     for one in demos:
         distance = distances_to_target(one.positions, demos.roles)
         nearest = distance.min(axis=1)
@@ -74,22 +67,15 @@ def test_episodes_start_far_and_end_at_contact_or_the_limit(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_joint_fit_recovers_the_locomotion(name):
-    found = fit_locomotion(load_packaged(name), bootstrap=0)
+def test_joint_fit_recovers_the_locomotion_and_inferred_actions_are_those_taken(name):
+    demos = load_packaged(name)
+    found = fit_locomotion(demos, bootstrap=0)
     for fitted, true in zip(found.individuals, get_species(name).locomotion, strict=True):
         assert fitted.damping == pytest.approx(true.damping, rel=0.02)
         assert fitted.thrust == pytest.approx(true.thrust, rel=0.002)
         assert fitted.velocity_rmse < 0.06 * true.thrust * 0.1
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_inferred_actions_are_those_taken(name):
-    demos = load_packaged(name)
     inferred = demonstrated_actions(demos, get_species(name).locomotion)
     assert (inferred == demos.signals["actions"]).mean() > 0.9999
-
-
-# -- the generator --------------------------------------------------------------------------------
 
 
 def trios(name: str, count: int, seed: int = 0, **changed) -> Rollouts:
@@ -176,14 +162,9 @@ def test_measuring_known_stop_and_go():
     assert found.move == pytest.approx([2.0] * len(LEVELS))
     assert found.speed == pytest.approx([1.0] * len(LEVELS))
     assert found.top == pytest.approx(1.0) and found.turning == 0.0
-
-
-def test_short_runs_belong_to_their_neighbours():
+    # Short runs belong to their neighbours.
     speed = np.array([1, 1, 1, 1, 0, 1, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0], dtype=float)
     np.testing.assert_array_equal(is_moving(speed, 0.5, 0.1), [True] * 8 + [False] * 8)
-
-
-# -- the command line -----------------------------------------------------------------------------
 
 
 def test_bad_input_is_refused_in_one_sentence(tmp_path, capsys):

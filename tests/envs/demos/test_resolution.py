@@ -54,11 +54,16 @@ def test_few_places_far_apart_still_tell_the_step_that_they_have_in_common() -> 
     assert found is not None and found.step == pytest.approx((3.0, 5.0))
 
 
-def test_unrounded_and_nearly_unmoved_positions_have_no_grid() -> None:
+def test_unrounded_positions_have_no_grid_and_single_precision_is_known() -> None:
     assert find_resolution(SOMEWHERE) is None
     assert find_resolution(np.round(SOMEWHERE[:2], 2)) is None  # six places: by chance
     assert find_resolution(np.ones((100, 3, 2))) is None
     assert rounded(SOMEWHERE, None) is SOMEWHERE
+    exact = np.random.default_rng(0).normal(size=(500, 2, 2))
+    stored = exact.astype(np.float32).astype(np.float64)
+    assert find_resolution(stored) == SINGLE_PRECISION
+    assert find_resolution(exact) is None
+    np.testing.assert_array_equal(rounded(exact, SINGLE_PRECISION), stored)
 
 
 def test_rollouts_are_rounded_as_the_recordings_are_and_simulated_as_ever() -> None:
@@ -96,11 +101,3 @@ def test_perfect_tracking_is_told_from_recordings_only_by_the_grid() -> None:
     followed = track(demos, FLY.locomotion).positions
     assert told(followed) > 0.8
     assert abs(told(rounded(followed, demos.resolution())) - 0.5) < 0.1
-
-
-def test_numbers_of_single_precision_on_no_grid_are_known_as_such() -> None:
-    exact = np.random.default_rng(0).normal(size=(500, 2, 2))
-    stored = exact.astype(np.float32).astype(np.float64)
-    assert find_resolution(stored) == SINGLE_PRECISION
-    assert find_resolution(exact) is None
-    np.testing.assert_array_equal(rounded(exact, SINGLE_PRECISION), stored)

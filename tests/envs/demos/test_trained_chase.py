@@ -45,9 +45,6 @@ def durations(chases: Chases) -> NDArray[np.float64]:
     return np.array([(len(path) - 1) * AGENT.dt for path in chases.paths])
 
 
-# -- training -------------------------------------------------------------------------------------
-
-
 def test_seconds_of_training_make_hunters(tmp_path: Path) -> None:
     settings = replace(TINY, steps=4000, exploration_steps=2000)
     trained, meta = load_weights(train(0, 0, settings, tmp_path, progress_bar=False))
@@ -65,17 +62,6 @@ def test_weights_of_other_settings_are_not_taken_for_these(tmp_path: Path) -> No
     for seed, asked in ((0, replace(few, gamma=0.5)), (1, few)):
         words = r"individual\.npz.*other settings or another seed"
         refuses(words, train, 0, seed, asked, tmp_path, progress_bar=False)
-
-
-def test_networks_are_mixed_by_individual() -> None:
-    weights = [load_weights(weights_file(PACKAGED_WEIGHTS, c))[0] for c in (0, 1)]
-    mixed = mixed_weights({"predator_0": weights[0], "predator_1": weights[1], "prey": weights[0]})
-    for name, values in mixed.items():
-        for k, source in enumerate((0, 1, 0)):
-            np.testing.assert_array_equal(values[k], weights[source][name][k])
-
-
-# -- the command line -----------------------------------------------------------------------------
 
 
 def test_one_command_trains_rolls_out_and_repeats(tmp_path: Path) -> None:
@@ -142,9 +128,6 @@ def test_a_file_that_holds_no_weights_is_refused(tmp_path: Path) -> None:
     refuses("do not fit", make_policy, {"something": np.zeros(3, np.float32)}, epsilon=0.0, seed=0)
 
 
-# -- what is packaged -----------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def packaged() -> Demonstrations:
     return load_packaged("agent")
@@ -172,13 +155,6 @@ def test_packaged_chases_come_from_the_packaged_weights(packaged: Demonstrations
         for a, b in zip(packaged, repeated, strict=True)
     )
     assert alike >= 0.95 * len(packaged)
-
-
-def test_rollouts_repeat_to_the_byte(tmp_path: Path) -> None:
-    first, again = (generate(PACKAGED_WEIGHTS, 0, 10) for _ in range(2))
-    files = [demos.save(tmp_path / f"{i}.npz") for i, demos in enumerate((first, again))]
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert generate(PACKAGED_WEIGHTS, 1, 10).fingerprint() != first.fingerprint()
 
 
 def test_packaged_chases_obey_the_dynamics(packaged: Demonstrations) -> None:
@@ -226,9 +202,6 @@ def test_shared_reward_makes_other_hunters(packaged: Demonstrations) -> None:
         "angle between the predators, seen from the prey [deg]",
     ):
         assert difference_interval(shared[name], individual[name], rng).excludes_zero, name
-
-
-# -- statistics -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

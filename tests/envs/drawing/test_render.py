@@ -1,23 +1,31 @@
-"""Pictures: right places, right colours, same pixels; windows."""
+"""Pictures: right places, right colours, same pixels; windows, clips, scenes of a world."""
 
 import dataclasses
+import pickle
 import sys
+from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 from refusals import refuses
 
+from animarl_envs import parallel_env
 from animarl_envs.demos.summary import Unit
 from animarl_envs.drawing import palette
 from animarl_envs.drawing.palette import BODIES
-from animarl_envs.drawing.render import Renderer, round_length, view_of
-from animarl_envs.drawing.scene import PlumeField, Scene
+from animarl_envs.drawing.render import Renderer, round_length, view_of, write_clip
+from animarl_envs.drawing.scene import PlumeField, Scene, SceneRecorder
 from animarl_envs.errors import MissingExtraError
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES
 from animarl_envs.species.base import BODIES as SPECIES_BODIES
 from animarl_envs.species.base import PLAIN_BODY, body_of_each
 from animarl_envs.species.options import with_options
+from animarl_envs.worlds.chase.world import ChaseWorld
 
 SIZE = 200
 HUNT = with_options(AGENT, num_pursuers=1, bodies=PLAIN_BODY)
@@ -132,7 +140,7 @@ def test_touched_target_is_highlighted(renderer):
     assert after[2] < before[2] - 60  # from grey to amber
 
 
-def test_plume_has_its_first_row_at_the_bottom(renderer):
+def test_plume_has_its_first_row_at_the_bottom_and_fades_out_before_its_field_ends(renderer):
     values = np.zeros((10, 10))
     values[1, 1] = 1.0
     plume = PlumeField(values=values, extent=(-1.0, 1.0, -1.0, 1.0))
@@ -141,9 +149,6 @@ def test_plume_has_its_first_row_at_the_bottom(renderer):
     hot, cold = pixel_of(scene, (-0.7, -0.7)), pixel_of(scene, (-0.7, 0.7))
     assert colour_distance(picture[cold], palette.ARENA) == 0
     assert colour_distance(picture[hot], palette.ARENA) > 40
-
-
-def test_plume_fades_out_before_its_field_ends(renderer):
     plume = PlumeField(values=np.ones((50, 50)), extent=(-0.9, 0.9, -0.9, 0.9))
     scene = make_scene(plume=plume)
     picture = renderer.draw(scene)
@@ -156,13 +161,6 @@ def test_plume_fades_out_before_its_field_ends(renderer):
         assert odour(x, y) < 5
 
 
-def test_view_widens_to_show_who_is_far_out():
-    usual = view_of(make_scene())
-    far = make_scene(positions=np.array([(2.5, 0.0), (0.0, 0.0)]))
-    assert usual.half < 1.3
-    assert view_of(far).half > 2.5
-
-
 @pytest.mark.parametrize("away", [(3.0, 0.0), (-0.4, -1.7), (0.9, 0.9)])
 def test_a_long_search_stays_in_the_picture_and_fills_it(away):
     path = np.linspace((0.3, 0.0), away, 500)
@@ -172,6 +170,8 @@ def test_a_long_search_stays_in_the_picture_and_fills_it(away):
     assert (np.abs(everything - (view.x, view.y)) < view.half).all()
     assert np.ptp(everything, axis=0).max() > 0.5 * view.half  # of the 2 that are shown
     assert view_of(make_search(np.concatenate([path, path[-1:] + 0.001]))) == view
+    far = make_scene(positions=np.array([(2.5, 0.0), (0.0, 0.0)]))
+    assert view_of(make_scene()).half < 1.3 and view_of(far).half > 2.5
 
 
 def test_every_body_that_a_species_may_have_is_drawn(renderer):
@@ -253,12 +253,6 @@ def test_renderer_refuses_bad_values(arguments):
     refuses("", Renderer, *arguments)
 
 
-def test_missing_pygame_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(MissingExtraError, match=r"animarl\[render\]"):
-        Renderer("rgb_array")
-
-
 def test_window_shows_closes_and_stays_closed(monkeypatch):
     import pygame
 
@@ -276,6 +270,114 @@ def test_window_shows_closes_and_stays_closed(monkeypatch):
     window.close()
 
 
-def test_window_without_display_is_refused(monkeypatch):
+def test_window_without_display_is_refused_and_missing_pygame_named(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "no-such-driver")
     refuses("rgb_array", Renderer("human", size=SIZE).draw, make_scene())
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(MissingExtraError, match=r"animarl\[render\]"):
+        Renderer("rgb_array")
+
+
+def frames(count: int = 4):
+    for k in range(count):
+        frame = np.zeros((64, 64, 3), dtype=np.uint8)
+        frame[:, : 16 * (k + 1)] = (0, 114, 178)
+        yield frame
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_clip_holds_all_frames_at_the_wanted_speed(tmp_path, suffix):
+    path = write_clip(frames(), tmp_path / f"clip{suffix}", fps=5)
+    assert list(tmp_path.iterdir()) == [path]
+    back = np.stack([np.asarray(f)[..., :3] for f in imageio.imiter(path)])
+    assert back.shape == (4, 64, 64, 3)
+    for k, frame in enumerate(frames()):
+        assert np.abs(back[k].astype(int) - frame).mean() < 6
+    if suffix == ".gif":
+        assert imageio.immeta(path)["duration"] == 200
+    else:
+        assert imageio.immeta(path)["fps"] == 5
+
+
+def test_an_interrupted_clip_leaves_the_old_file(tmp_path: Path):
+    def breaking():
+        yield from frames(2)
+        raise RuntimeError("stopped")
+
+    path = tmp_path / "clip.gif"
+    path.write_bytes(b"old")
+    with pytest.raises(RuntimeError, match="stopped"):
+        write_clip(breaking(), path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_clip_of_nothing_or_of_another_suffix_is_refused(tmp_path):
+    refuses(r"\.gif or \.mp4", write_clip, frames(), tmp_path / "clip.avi")
+    refuses("no frame", write_clip, iter(()), tmp_path / "clip.gif")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("species", ["Agent", "Silkmoth"])
+@pytest.mark.parametrize("twin_of", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_in_mid_episode_draws_on_alike(species, twin_of):
+    env = gym.make(f"AnimaRL/{species}-v0", render_mode="rgb_array").unwrapped
+    env.reset(seed=2)
+    env.step(3)
+    env.render()
+    twin = twin_of(env)
+    for action in (0, 5, 12):
+        env.step(action)
+        twin.step(action)
+    picture = env.render()
+    assert picture.shape[2] == 3
+    np.testing.assert_array_equal(picture, twin.render())
+    env.close()
+    twin.close()
+
+
+def test_all_individuals_are_drawn_and_nothing_before_the_first_episode():
+    everybody = parallel_env("fly", render_mode="rgb_array")
+    refuses("reset", everybody.render)
+    everybody.reset(seed=0)
+    assert everybody.render().shape == (672, 600, 3)
+    everybody.close()
+
+
+def test_recorder_follows_a_world():
+    world = ChaseWorld(make_scenario("agent", demos=None), num_copies=2)
+    world.seed(np.array([3, 4]))
+    world.reset()
+    recorder = SceneRecorder(world, copy=1)
+    recorder.start()
+    rng = np.random.default_rng(0)
+    path, total = [world.position[1].copy()], np.zeros(3)
+    for _ in range(6):
+        world.step(rng.integers(0, 12, size=(2, 3)))
+        recorder.follow()
+        path.append(world.position[1].copy())
+        total += world.reward[1]
+    scene = recorder.scene()
+    np.testing.assert_array_equal(scene.trails, path)
+    np.testing.assert_allclose(scene.rewards, total)
+    velocity = world.velocity[1]
+    np.testing.assert_allclose(scene.headings, np.arctan2(velocity[:, 1], velocity[:, 0]))
+    assert scene.step == 6
+    recorder.start()
+    assert len(recorder.scene().trails) == 1
+    world.step(np.full((2, 3), 12))
+    assert len(scene.trails) == 7  # a scene is not changed by what follows
+
+
+def test_recorder_says_who_touched_whom():
+    start = np.array([(0.0, 0.0), (0.8, 0.8), (0.12, 0.0)])
+    world = ChaseWorld(make_scenario("agent", demos=None, start=start), num_copies=1)
+    world.reset()
+    recorder = SceneRecorder(world)
+    recorder.start()
+    while not world.terminated[0]:
+        world.step(np.array([[0, 12, 12]]))
+        recorder.follow()
+    scene = recorder.scene()
+    assert scene.touched.tolist() == [True, False, True]
+    assert scene.note == "predator_0 reached prey"

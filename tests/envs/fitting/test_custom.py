@@ -36,9 +36,6 @@ ID = "AnimaRL/Custom-v0"
 EPISODES, STEPS = 8, 60
 
 
-# -- every view, any number of pursuers -----------------------------------------------------------
-
-
 @pytest.mark.parametrize("pursuers", [1, 5])
 def test_registry_custom_works_with_any_number_of_pursuers(pursuers: int, tmp_path: Path) -> None:
     path = str(dogs(pursuers).save(tmp_path / "demos.npz"))
@@ -60,9 +57,6 @@ def test_registry_custom_search_has_the_moths_senses() -> None:
     assert gym.make_vec(ID, num_envs=2, demos=search()).reset(seed=0)[0].shape == (2, 12)
     seen = gym.make_vec(ID, num_envs=2, demos=search(), observation="paper").reset(seed=0)[0]
     assert seen.shape == (2, 10)
-
-
-# -- what is taken from where ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("pursuers", [1, 3])
@@ -115,7 +109,7 @@ def test_a_wall_stands_where_nobody_was_recorded_beyond_it(every: int, walled: b
     assert ("no wall stands there" in " ".join(found_by_itself(seen))) is not walled
 
 
-def test_animals_of_several_thrusts_see_their_past_and_others_do_not() -> None:
+def test_several_thrusts_see_their_past_and_time_is_seen_where_episodes_began_apart() -> None:
     demos = dogs(1)
     one, three = Locomotion(0.5, 1.0), Locomotion(0.5, 1.0, magnitudes=(2.0, 1.0, 0.5))
     for own, base, past in ((one, None, False), (three, None, True), (three, "fly", False)):
@@ -123,8 +117,6 @@ def test_animals_of_several_thrusts_see_their_past_and_others_do_not() -> None:
         assert isinstance(species, ChaseSpecies)
         assert species.senses_past is past
 
-
-def test_time_is_seen_where_every_episode_began_with_a_separation() -> None:
     def senses_time(**cutting: Any) -> bool:
         species = species_of(_told(dogs(1), recipe={"cutting": cutting}))
         assert isinstance(species, ChaseSpecies)
@@ -191,9 +183,6 @@ def test_conditions_are_labels_that_change_no_reward() -> None:
     assert paid == [0.0, 0.0]
 
 
-# -- fewer pursuers, and what is refused ----------------------------------------------------------
-
-
 def test_fewer_pursuers_are_the_first_ones() -> None:
     env = gym.make(ID, demos=dogs(3), num_pursuers=1)
     scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
@@ -228,11 +217,6 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("options", "says"), REFUSED)
 def test_what_cannot_be_made_is_refused(options: dict[str, Any], says: str) -> None:
     assert says in refuses("", gym.make, ID, **options)
-
-
-def test_without_demonstrations_no_view_can_be_made() -> None:
-    refuses("give demos=", gym.make_vec, ID, num_envs=2)
-    refuses("give demos=", animarl_envs.parallel_env, "custom")
 
 
 @pytest.mark.realdata

@@ -41,15 +41,6 @@ def test_planted_turnings_of_each_are_found_again(noise: float, within: float) -
         assert (own < [0.5, 1.0] * travel).all()
 
 
-def test_long_recordings_are_fitted_from_some_of_their_steps(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    demos = turned(wanderers(), SIDEWAYS, SLOW)
-    monkeypatch.setattr("animarl_envs.fitting.turning.MOST_STARTS", 150)
-    found = fit_turning(demos)
-    assert found is not None and found.slip == pytest.approx(SIDEWAYS.slip, abs=1e-3)
-
-
 def test_a_species_of_recorded_headings_turns_and_sees_them() -> None:
     demos = recorded()
     spec = species_of(demos)
@@ -65,8 +56,14 @@ def test_a_species_of_recorded_headings_turns_and_sees_them() -> None:
     assert species_of(one_column) == species_of(dogs(2))
 
 
-def test_episodes_shorter_than_the_horizon_are_enough() -> None:
+def test_some_of_many_steps_and_episodes_shorter_than_the_horizon_are_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     demos = turned(wanderers(), SIDEWAYS, SLOW)
+    with monkeypatch.context() as patched:
+        patched.setattr("animarl_envs.fitting.turning.MOST_STARTS", 150)
+        found = fit_turning(demos)
+    assert found is not None and found.slip == pytest.approx(SIDEWAYS.slip, abs=1e-3)
     cut = np.concatenate([np.arange(start, start + 12) for start in demos.offsets[:-1]])
     short = replace(
         demos, positions=demos.positions[cut], lengths=np.full(12, 12),
@@ -108,6 +105,10 @@ def test_headings_stay_with_their_individuals_episodes_and_files(tmp_path: Path)
     assert len(both.headings()) == len(both.positions)  # type: ignore[arg-type]
     other = replace(demos, name="flat", signals={"heading": heading[:, 0]})
     refuses(r"flat and .* in dogs.npz: give both as many columns", join, [demos, other])
+    lacking = heading.copy()
+    lacking[70, 1] = np.nan
+    with pytest.raises(InputError, match="episode 1, frame 9, dog_b: signal 'heading' is not a"):
+        replace(demos, signals={"heading": lacking})
 
 
 def test_an_own_environment_sees_headings_and_goes_through_json(tmp_path: Path) -> None:
@@ -138,14 +139,6 @@ def test_an_own_environment_sees_headings_and_goes_through_json(tmp_path: Path) 
 )
 def test_what_is_no_turning_is_refused(options: dict[str, Any], says: str) -> None:
     refuses(says, with_options, species_of(dogs(2)), **options)
-
-
-def test_headings_that_are_no_numbers_are_refused() -> None:
-    demos = recorded()
-    heading = demos.signals["heading"].copy()
-    heading[70, 1] = np.nan
-    with pytest.raises(InputError, match="episode 1, frame 9, dog_b: signal 'heading' is not a"):
-        replace(demos, signals={"heading": heading})
 
 
 def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -> None:

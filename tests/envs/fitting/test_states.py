@@ -1,4 +1,4 @@
-"""States of locomotion: a known law is found again, and one state is not taken for two."""
+"""States of locomotion and noisy tracks: a known law is found again, one state is not two."""
 
 import csv
 from dataclasses import replace
@@ -7,10 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import animarl
+from moving_pairs import recorded_pairs
+from recordings import write_tracks
 from refusals import refuses
+from small_runs import few
 from thrust_walks import DT, walk
+from typer.testing import CliRunner
 
+from animarl_algos.cli.describing import hints
+from animarl_algos.cli.main import app
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT
+from animarl_envs.demos.summary import persistence
+from animarl_envs.fitting import fit_joint, transitions
+from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.states import compare_states
 from animarl_envs.locomotion import Locomotion
 
@@ -58,12 +70,8 @@ def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path:
         (name, *pair) for name in "abc" for pair in (("1", "1"), ("2", "1"), ("2", "2"))
     ]
     assert float(rows[1]["held_out"]) > float(rows[0]["held_out"]) + 0.1
-
-
-def test_a_state_that_holds_hardly_a_step_is_said(two: Demonstrations, tmp_path: Path) -> None:
-    said = animarl("fit", two.save(tmp_path / "two.npz"), "--states", "3", "--thrusts", "1")
-    told = "a: 3 states with 1 thrust are not supported by these recordings"
-    assert told in " ".join(said.split())
+    said = " ".join(animarl("fit", file, "--states", "3", "--thrusts", "1").split())
+    assert "a: 3 states with 1 thrust are not supported by these recordings" in said
 
 
 def test_who_never_moves_has_no_states_and_the_others_are_told(
@@ -87,6 +95,7 @@ def test_states_of_an_episode_shorter_than_a_second(two: Demonstrations) -> None
     few = [int(np.flatnonzero(two.split == split)[0]) for split in ("train", "val")]
     (fit,), _ = compare_states(tiny.select(episodes=np.array(few)), 0, (2,), (1,))
     assert 6 * two.dt < 1.0 and np.isfinite(fit.held_out).all()
+    refuses("no val episodes", compare_states, two.select(split="train"), 0, (2,), (1,))
 
 
 @pytest.mark.parametrize(
@@ -101,5 +110,86 @@ def test_bad_states_are_refused(options: tuple[str, ...], sentence: str) -> None
     refuses(sentence, animarl, "fit", "fly", *options)
 
 
-def test_states_need_episodes_to_validate_on(two: Demonstrations) -> None:
-    refuses("no val episodes", compare_states, two.select(split="train"), 0, (2,), (1,))
+def noisy(damping: float, share: float, seed: int = 1, episodes: int = 40):  # type: ignore[no-untyped-def]
+    """Walks with thrust 3 whose noise is such a share of the median step, and the noise."""
+    truth = (Locomotion(damping, 3.0),) * 3
+    exact, _ = walk(truth, seed, episodes=episodes)
+    step = float(np.median(np.linalg.norm(exact.velocities()[:, 0], axis=1))) * exact.dt
+    return walk(truth, seed, episodes=episodes, noise=share * step)[0], share * step
+
+
+@pytest.mark.parametrize(("damping", "share"), [(0.2, 0.14), (0.014, 0.09)])
+def test_noise_that_misleads_the_joint_fit_is_told_from_motion(
+    damping: float, share: float
+) -> None:
+    demos, noise = noisy(damping, share)
+    joint, found = fit_joint(transitions(demos, 0)), fit_with_noise(demos, 0)
+    assert joint.thrust > 1.4 * 3.0  # what a fit that knows of no noise makes of it
+    assert found.thrust == pytest.approx(3.0, rel=0.05)
+    assert found.damping == pytest.approx(damping, rel=0.08)
+    assert found.noise == pytest.approx(noise, rel=0.1)
+    for interval, true in (
+        (found.thrust_interval, 3.0),
+        (found.damping_interval, damping),
+        (found.noise_interval, noise),
+    ):
+        assert interval is not None and interval[0] < true < interval[1]
+
+
+def test_exact_tracks_have_no_noise_and_the_joint_fit() -> None:
+    demos, _ = noisy(0.2, 0.0, episodes=10)
+    found = fit_with_noise(demos, 0)
+    assert found.noise == 0.0 and found.thrust_interval is None
+    assert (found.damping, found.thrust) == pytest.approx((0.2, 3.0), rel=1e-6)
+
+
+def test_animarl_fit_warns_of_noise_that_matters(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    for share, warned in ((0.14, True), (0.0, False)):
+        demos, _ = noisy(0.2, share)
+        real = replace(demos, provenance={**demos.provenance, "synthetic": False})
+        file = real.save(tmp_path / f"{share}.npz")
+        done = CliRunner().invoke(app, ["fit", str(file), "--bootstrap", "0"])
+        assert done.exit_code == 0, done.output
+        assert ("see --method noise" in done.output) == warned
+
+
+def test_a_run_takes_it_with_one_thrust(tmp_path: Path) -> None:
+    asked = RunSettings(
+        file="few.npz", species="agent", algo="dqn", steps=20, copies=2, fit_method="noise"
+    )
+    fit = pipeline.fit(pipeline.open_run(asked, tmp_path / "run", "animarl train", few()))
+    assert fit.method == "noise"
+    assert all(one.tracking_noise is not None for one in fit.individuals)
+    assert all(one.magnitudes == (1.0,) for one in fit.individuals)
+
+
+def test_persistence_is_one_of_steady_motion_and_minus_one_half_of_noise() -> None:
+    steady = np.linspace(0.0, 1.0, 2001)[:, None] * [0.3, -0.4]
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (2001, 2))
+    still = np.zeros((2001, 2))
+    demos = replace(
+        recorded_pairs(), individuals=("steady", "noisy", "still"),
+        roles=("pursuer", "pursuer", "target"),
+        positions=np.stack([steady, noise, still], axis=1), lengths=np.array([2001]),
+        initial_velocity=np.zeros((1, 3, 2)), condition=np.zeros(1), outcome=[TIME_OUT],
+        split=np.array(["test"]), recording=np.array(["r"]),
+    )  # fmt: skip
+    assert persistence(demos) == pytest.approx([1.0, -0.5, np.nan], abs=0.05, nan_ok=True)
+
+
+def test_an_import_of_jumping_tracks_hints_at_smoothing(tmp_path: Path) -> None:
+    angle = np.linspace(0.0, 20.0, 1500)[:, None] + [0.0, 1.0]
+    path = 400.0 + 150.0 * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    jumping = path + np.random.default_rng(1).normal(0.0, 1.5, path.shape)  # a step is 2 px long
+    pair = write_tracks(tmp_path / "pair.csv", jumping, ("male", "female"))
+    words = ("import", pair, "--fps", 25, "--target", "female", "--dry-run")
+    assert "consider --smoothing 2" in animarl(*words)
+    assert "consider --smoothing" not in animarl(*words, "--smoothing", 2)
+    rng = np.random.default_rng(0)
+    demos = recorded_pairs()
+    demos = replace(demos, positions=demos.positions + rng.normal(0, 0.1, demos.positions.shape))
+    for cutoff, advised in ((None, True), (8.0, True), (2.0, False)):
+        done = {"smoothing": {"cutoff_hz": cutoff}} if cutoff else {}
+        told = {**demos.provenance, "synthetic": False, "cleaning": {"r": done}}
+        found = hints(replace(demos, provenance=told))
+        assert any("--smoothing 2" in hint for hint in found) == advised

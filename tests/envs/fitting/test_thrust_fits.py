@@ -13,7 +13,7 @@ from refusals import refuses
 from thrust_walks import DT, ROLES, TRUTH, walk
 
 from animarl_algos.cli.fit import parse_numbers
-from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
+from animarl_algos.evaluation.thrust_choice import GAIN, tracking_floor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting import (
@@ -29,8 +29,6 @@ from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import MOST_THRUSTS, Locomotion, apply_actions, infer_actions
 from animarl_envs.species import FLY
-
-# -- fits -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -48,17 +46,8 @@ def test_several_magnitudes_are_found(
         np.testing.assert_allclose(*pushes, rtol=thrust)
 
 
-@pytest.mark.parametrize("truth", [tuple(Locomotion(0.25, u) for u in (2.4, 2.4, 3.0)), TRUTH])
-def test_as_many_magnitudes_are_chosen_as_there_are(truth: tuple[Locomotion, ...]) -> None:
-    demos, _ = walk(truth, 7)
-    assert choose_thrusts(demos)[0] == truth[0].thrusts
-
-
 def test_the_floor_needs_two_episodes_to_tell_apart() -> None:
-    demos, _ = walk(TRUTH, 7)
-    assert tracking_floor(demos, TRUTH).estimate < 0.6
-    poorer = joint_locomotion(demos, 1)
-    assert tracking_floor(demos, poorer).estimate > 0.8
+    demos, _ = walk(TRUTH, 7, episodes=2)
     assert np.isnan(tracking_floor(demos.select(episodes=[0]), TRUTH).estimate)
 
 
@@ -93,14 +82,7 @@ def test_the_terminal_speed_reaches_the_fast_steps() -> None:
 def test_impossible_numbers_of_magnitudes_are_refused(thrusts: Any) -> None:
     demos, _ = walk(TRUTH, 9, episodes=10)
     refuses("thrusts is", fit_locomotion, demos, thrusts=thrusts)
-
-
-def test_the_onset_rule_has_one_thrust() -> None:
-    demos, _ = walk(TRUTH, 9, episodes=10)
     refuses("onset rule fits one thrust", fit_locomotion, demos, "onset", thrusts=2, bootstrap=0)
-
-
-# -- tracking -------------------------------------------------------------------------------------
 
 
 def test_exact_tracks_are_followed_exactly() -> None:
@@ -168,6 +150,8 @@ def test_tracking_stays_within_walls() -> None:
     assert np.linalg.norm(held[started], axis=2).max() <= 0.5
     free = track(demos, TRUTH, replace(walls, rebound=False)).positions
     assert np.linalg.norm(free, axis=2).max() > 1.0
+    refuses("thrust magnitudes", track, demos, (TRUTH[0], TRUTH[1], Locomotion(0.3, 3.0)))
+    refuses("3 individuals", track, demos, TRUTH[:2])
 
 
 def test_packaged_flies_are_followed_to_a_thousandth() -> None:
@@ -175,15 +159,6 @@ def test_packaged_flies_are_followed_to_a_thousandth() -> None:
     tracking = track(demos, FLY.locomotion)
     assert np.hypot(*(tracking.positions - demos.positions).T).max() < 5e-3
     assert tracking_errors(demos, tracking).max() < 1e-4
-
-
-def test_tracking_wants_equal_magnitudes() -> None:
-    demos, _ = walk(TRUTH, 14, episodes=5)
-    refuses("thrust magnitudes", track, demos, (TRUTH[0], TRUTH[1], Locomotion(0.3, 3.0)))
-    refuses("3 individuals", track, demos, TRUTH[:2])
-
-
-# -- the command ----------------------------------------------------------------------------------
 
 
 def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
@@ -205,14 +180,8 @@ def test_numbers_of_magnitudes_are_read() -> None:
     assert parse_numbers("--thrusts", "5,2,1,1", 10) == (1, 2, 5)
     for bad in ("0", "1,,2", "two", "11", "-1"):
         refuses("--thrusts", parse_numbers, "--thrusts", bad, 10)
-
-
-def test_magnitudes_are_compared_for_the_joint_fit_alone() -> None:
     words = ("fit", "fly", "--thrusts", "1,2", "--method", "onset")
     refuses("leave --method onset out", animarl, *words)
-
-
-# -- recordings -----------------------------------------------------------------------------------
 
 
 @pytest.mark.realdata

@@ -21,10 +21,8 @@ from animarl_envs.fitting import demonstrated_actions, one_step_misses, transiti
 from animarl_envs.fitting.joint import nearest_actions
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import (
-    ACTION_VECTORS,
     COAST,
     MOST_THRUSTS,
-    NUM_ACTIONS,
     Locomotion,
     apply_actions,
     infer_actions,
@@ -36,20 +34,6 @@ from animarl_envs.views.common import scenario_as_data
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
-# -- the actions ----------------------------------------------------------------------------------
-
-
-def test_one_magnitude_is_the_papers_thirteen_actions_to_the_bit() -> None:
-    one = Locomotion(0.25, 3.0)
-    assert one.magnitudes == (1.0,) and one.thrusts == 1 and one.num_actions == NUM_ACTIONS == 13
-    assert one.action_vectors.tobytes() == ACTION_VECTORS.tobytes()
-    assert AGENT.num_actions == 13 and AGENT.thrusts == 1
-
-
-def test_individuals_with_other_numbers_of_magnitudes_are_refused() -> None:
-    mixed = (Locomotion(0.25, 3.0, MULTIPLES), *AGENT.locomotion[1:])
-    refuses("predator_0 3, predator_1 1", replace, AGENT, locomotion=mixed)
-
 
 def test_magnitudes_are_an_option_by_name() -> None:
     every = {name: {"magnitudes": MULTIPLES} for name in FLY.individuals}
@@ -57,9 +41,8 @@ def test_magnitudes_are_an_option_by_name() -> None:
     assert scenario.species == three(FLY)
     stated = scenario_as_data(scenario)["locomotion"]
     assert [one["magnitudes"] for one in stated] == [list(MULTIPLES)] * 3
-
-
-# -- one transition -------------------------------------------------------------------------------
+    mixed = (Locomotion(0.25, 3.0, MULTIPLES), *AGENT.locomotion[1:])
+    refuses("predator_0 3, predator_1 1", replace, AGENT, locomotion=mixed)
 
 
 def test_worlds_and_numpy_move_alike() -> None:
@@ -79,20 +62,6 @@ def test_worlds_and_numpy_move_alike() -> None:
         np.testing.assert_allclose(world.velocity, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_the_searcher_and_numpy_move_alike() -> None:
-    species = three(SILKMOTH)
-    world = make_world(make_scenario(species, demos=None), 37)
-    world.reset()
-    upwind = np.tile([-1.0, 0.0], (37, 1))
-    for _ in range(3):
-        actions = np.arange(37)
-        expected = apply_actions(
-            world.velocity[:, 0], actions, upwind, species.locomotion[0], species.dt
-        )
-        world.step(actions[:, None])
-        np.testing.assert_allclose(world.velocity[:, 0], expected, rtol=1e-12, atol=1e-15)
-
-
 def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:
     """The loss of the joint fit is the squared miss of the inferred actions."""
     demos, _ = walk(TRUTH, 2, noise=0.01)
@@ -104,9 +73,6 @@ def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:
     missed = np.sum((rebuilt - data.next_velocity) ** 2, axis=1)
     np.testing.assert_allclose(error, missed, rtol=1e-9, atol=1e-15)
     np.testing.assert_array_equal(level, np.where(inferred == 36, -1, inferred // 12))
-
-
-# -- every view -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["fly", "silkmoth"])
@@ -131,22 +97,6 @@ def test_one_thrust_leaves_all_as_it_is() -> None:
     richer = with_options(FLY, locomotion=Locomotion(0.1, 1.0, (1.2, 0.3)))
     assert with_options(richer, thrusts=2) == richer
     assert with_options(richer, thrusts=1).locomotion == (Locomotion(0.1, 1.0),) * 3
-
-
-def test_thrusts_move_as_the_same_magnitudes_do() -> None:
-    every = {name: {"magnitudes": MULTIPLES} for name in FLY.individuals}
-    given: list[dict[str, Any]] = [{"thrusts": 3}, {"locomotion": every}]
-    worlds = [make_world(make_scenario("fly", demos=None, **options), 20) for options in given]
-    rng = np.random.default_rng(0)
-    for world in worlds:
-        world.seed(np.arange(20))
-        world.reset()
-    for _ in range(20):
-        actions = rng.integers(37, size=(20, 3))
-        for world in worlds:
-            world.step(actions)
-        np.testing.assert_array_equal(worlds[0].position, worlds[1].position)
-        np.testing.assert_array_equal(worlds[0].observation, worlds[1].observation)
 
 
 def test_thrusts_go_with_other_thrusts_and_dampings() -> None:
@@ -207,9 +157,6 @@ def test_the_programmed_moth_uses_what_it_has() -> None:
     assert rest.tolist() == [36]
 
 
-# -- learners -------------------------------------------------------------------------------------
-
-
 def test_data_and_decisions_have_a_value_per_action() -> None:
     demos = load_packaged("agent")
     few = demos.select(
@@ -243,8 +190,5 @@ def test_a_model_of_other_magnitudes_is_refused() -> None:
     make, told = partial(make_world, scenario), {"method": "dqn", "seed": 0, "repetitions": 1}
     refuses("thrust magnitudes", collect_rollouts, make, model, **told)
     refuse_other_actions(37, 37)
-
-
-def test_random_policies_use_all_actions() -> None:
     actions, _ = RandomPolicy(0, 37).predict(np.zeros((5000, 4)))
     assert set(actions.tolist()) == set(range(37))

@@ -1,4 +1,4 @@
-"""How a body turns: the law, its fit to recorded headings, and the species made of it."""
+"""How a body turns, and the odour it meets: laws, their fits to recordings, and the species."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +11,13 @@ from refusals import refuses
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.fitting.custom_species import fit_odour, odour_steps, species_of
 from animarl_envs.fitting.turning import along_travel, fit_turning, free_running, heading_misses
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species.silkmoth import RECORDED_TURNING
 from animarl_envs.species.turning import Turning
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored
 from tools.packaged_data.moth_statistics import recorded_moths
 from tools.packaged_data.moth_turning import held_out_errors
 
@@ -70,18 +73,15 @@ def test_without_noise_the_law_foretells_all_headings() -> None:
     assert (np.median(heading_misses(demos, PLANTED), axis=1) < 1e-9).all()
 
 
-@pytest.mark.parametrize("angle", [0.3, 2.0, -3.0])
-def test_turned_tracks_turn_alike(angle: float) -> None:
+def test_turned_tracks_turn_alike_and_mirrored_ones_slip_to_the_other_side() -> None:
     demos = planted(0.1)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    other = fit_turning(moved(demos, turn, demos.signals["heading"] + angle))
-    assert numbers(other) == pytest.approx(numbers(fit_turning(demos)), abs=1e-5)
-
-
-def test_mirrored_tracks_slip_to_the_other_side() -> None:
-    demos = planted(0.1)
-    other = numbers(fit_turning(moved(demos, np.diag([1.0, -1.0]), -demos.signals["heading"])))
-    assert other * np.array([1, 1, -1, 1]) == pytest.approx(numbers(fit_turning(demos)), abs=1e-5)
+    fitted = numbers(fit_turning(demos))
+    for angle in (0.3, 2.0, -3.0):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        other = fit_turning(moved(demos, turn, demos.signals["heading"] + angle))
+        assert numbers(other) == pytest.approx(fitted, abs=1e-5)
+    image = numbers(fit_turning(moved(demos, np.diag([1.0, -1.0]), -demos.signals["heading"])))
+    assert image * np.array([1, 1, -1, 1]) == pytest.approx(fitted, abs=1e-5)
 
 
 def test_a_body_that_points_where_it_walks_needs_no_turning() -> None:
@@ -92,6 +92,8 @@ def test_a_body_that_points_where_it_walks_needs_no_turning() -> None:
     assert fit_turning(replace(demos, positions=np.zeros_like(demos.positions),
                                initial_velocity=np.zeros((EPISODES, 1, 2)))) is None  # fmt: skip
     assert fit_turning(load_packaged("silkmoth")) is None  # the programmed moth
+    two = np.stack([demos.signals["heading"]] * 2, axis=1)
+    refuses("2 columns", fit_turning, replace(demos, signals={"heading": two}))
 
 
 def test_a_body_at_rest_keeps_the_direction_it_walked_in() -> None:
@@ -113,12 +115,6 @@ def test_a_species_of_recorded_headings_turns_as_its_training_episodes_do() -> N
     assert species_of(replace(demos, signals={})).turning is None  # type: ignore[attr-defined]
 
 
-def test_headings_of_several_are_refused() -> None:
-    demos = planted(0.0)
-    two = np.stack([demos.signals["heading"]] * 2, axis=1)
-    refuses("2 columns", fit_turning, replace(demos, signals={"heading": two}))
-
-
 @pytest.mark.realdata
 def test_fitted_turning_beats_both_simple_rules_on_recorded_moths(data_dir: Path) -> None:
     """Held-out runs: the next heading, the heading from the start on, and the wind's side."""
@@ -128,3 +124,70 @@ def test_fitted_turning_beats_both_simple_rules_on_recorded_moths(data_dir: Path
     assert (own[:2] < [0.6, 0.8] * np.minimum(travel, held)[:2]).all()
     assert own[2] > 0.05 + max(travel[2], held[2])
     assert numbers(fit_turning(demos)) == pytest.approx(numbers(RECORDED_TURNING), rel=5e-3)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Demonstrations:
+    """Searches with hits by a known law: hits of both antennae last with .9 and begin with .1."""
+    demos, draw = load_packaged("silkmoth"), np.random.default_rng(0)
+    left = np.zeros(len(demos.positions), dtype=bool)
+    for frame in range(1, len(left)):
+        left[frame] = draw.random() < (0.9 if left[frame - 1] else 0.1)
+    heading = draw.uniform(-np.pi, np.pi, len(left))
+    signals = {"odour_left": left * 1.0, "odour_right": left * 1.0, "heading": heading}
+    own = {**demos.provenance, "synthetic": False}
+    return replace(demos, signals=signals, provenance=own)
+
+
+def test_a_law_of_hits_is_found_and_drawn_in_the_world(recorded: Demonstrations) -> None:
+    species = species_of(recorded)
+    odour = species.plume
+    assert isinstance(odour, FittedOdour)
+    lasting, beginning = (-p * np.log(p) - (1 - p) * np.log(1 - p) for p in (0.9, 0.1))
+    inputs, hits = odour_steps(recorded)
+    surprise = -np.log(odour.chances(inputs)[np.arange(len(hits)), hits]).mean()
+    assert surprise < 0.5 * (lasting + beginning) + 0.08  # persistence untold: 0.69
+    world = make_world(make_scenario(species, demos=None), num_copies=200)
+    world.seed(list(range(200)))
+    world.reset()
+    drawn_hits, draw = [], np.random.default_rng(0)
+    for _ in range(100):  # they wander over the places that were recorded
+        world.step(draw.integers(species.num_actions, size=(200, 1)))
+        drawn_hits.append(world.odour == 1.0)
+    drawn = np.array(drawn_hits)
+    before, after = drawn[20:-1, :, 0], drawn[21:, :, 0]
+    assert after[before].mean() == pytest.approx(0.9, abs=0.05)
+    assert after[~before].mean() == pytest.approx(0.1, abs=0.05)
+    assert (drawn[..., 0] != drawn[..., 1])[20:].mean() < 0.05
+
+
+def test_a_copy_smells_the_same_alone_and_beside_others(recorded: Demonstrations) -> None:
+    species = species_of(recorded)
+    smelt = []
+    for copies in (1, 3):
+        world = make_world(make_scenario(species, demos=None), num_copies=copies)
+        world.seed(list(range(7, 7 + copies)))
+        world.reset()
+        own = []
+        for _ in range(20):
+            world.step(np.zeros((copies, 1), dtype=np.int64))
+            own.append(world.odour[0].copy())
+        smelt.append(np.array(own))
+    assert np.array_equal(*smelt)
+
+
+def test_inputs_have_their_mirror_image(recorded: Demonstrations) -> None:
+    part = recorded.select(episodes=np.arange(2))
+    left, right = part.signals["odour_left"], part.signals["odour_right"]
+    turned = {"odour_left": right, "odour_right": left, "heading": -part.signals["heading"]}
+    reflected = replace(part, positions=part.positions * [1, -1], signals=turned)
+    inputs, _ = odour_steps(part)
+    assert inputs.shape[1] == INPUTS
+    assert odour_steps(reflected)[0] == pytest.approx(mirrored(inputs))
+
+
+def test_test_episodes_and_synthetic_sets_do_not_change_the_odour(recorded: Demonstrations) -> None:
+    train = recorded.select(split="train")
+    assert np.array_equal(fit_odour(train).first, species_of(recorded).plume.first)
+    synthetic = replace(recorded, provenance={**recorded.provenance, "synthetic": True})
+    assert species_of(synthetic).plume == "model"

@@ -10,7 +10,6 @@ from refusals import refuses
 
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_envs.demos import assign_splits
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.demos.summary import summarise
@@ -20,7 +19,6 @@ from animarl_envs.importing.cleaning import (
     Cleaning,
     Scaling,
     clean,
-    fill_gaps,
     find_jumps,
     resample,
     scale_of,
@@ -69,27 +67,6 @@ def test_smoothing_leaves_gaps_alone_and_does_not_cross_them() -> None:
     before = smooth(path[:200], 2.0, 30.0)
     np.testing.assert_allclose(smoothed[:200], before, atol=1e-12)
     refuses("needs more than 4 frames a second", smooth, path, 2.0, 4.0)
-
-
-def test_resampling_keeps_the_time_of_every_sample() -> None:
-    path = np.linspace(0, 1, 301)[:, None, None] * [3.0, -2.0]
-    for rate in (10.0, 12.0, 7.0, 30.0):
-        found = resample(path, 30.0, rate)
-        expected = np.arange(len(found)) / rate / 10.0
-        np.testing.assert_allclose(found[:, 0, 0], 3 * expected, atol=1e-12)
-    slow = resample(wave(0.2, 30.0), 30.0, 12.5)
-    exact = wave(0.2, 12.5)[: len(slow)]
-    assert np.abs(slow - exact).max() < 1e-3  # straight lines between 30 Hz frames
-
-
-def test_gaps_up_to_the_limit_are_straight_lines_and_longer_ones_stay() -> None:
-    path = np.arange(30.0)[:, None, None] * [1.0, 2.0]
-    path[5:8] = path[15:19] = np.nan
-    path[:2] = np.nan
-    filled, count = fill_gaps(path, 3)
-    assert count == 3
-    np.testing.assert_allclose(filled[5:8, 0, 0], [5, 6, 7])
-    assert np.isnan(filled[15:19]).all() and np.isnan(filled[:2]).all()
 
 
 def test_identity_swaps_and_jumps_are_found() -> None:
@@ -166,15 +143,6 @@ def test_approaches_are_cut_from_far_to_near() -> None:
     assert cut_episodes(bodies, CHASE, 10.0, none) == []
 
 
-def test_whole_recordings_break_at_gaps_and_end_at_contact() -> None:
-    bodies = approach_path()
-    bodies[50] = np.nan
-    cuts = cut_episodes(bodies, CHASE, 10.0, Cutting())
-    assert [(c.start, c.stop) for c in cuts] == [(0, 50), (51, 61)]
-    touched = cut_episodes(bodies[:50], CHASE, 10.0, Cutting(contact=0.2))
-    assert touched[0].outcome == 1 and bodies[touched[0].stop - 1, 0, 0] < 0.2
-
-
 @pytest.mark.parametrize(
     ("ends", "outcome"),
     [("auto", UNFINISHED), ("film", UNFINISHED), ("contact", 1), ("left", PURSUER_OUT)],
@@ -202,13 +170,10 @@ def test_what_ends_mean_is_said_and_mere_ends_are_censored(ends: str, outcome: i
     assert stopped.lengths[1] - demos.lengths[1] == (0 if known == "film" else 1)
 
 
-def test_the_target_that_left_is_told_from_the_pursuer() -> None:
+def test_the_target_that_left_is_told_and_ends_must_go_with_the_cut() -> None:
     bodies = approach_path()
     bodies[-1, 1, 0] = 3.0
     assert cut_episodes(bodies, CHASE, 10.0, Cutting(ends="left"))[0].outcome == TARGET_OUT
-
-
-def test_ends_that_do_not_go_with_the_cut_are_refused() -> None:
     apart = {"mode": "approach", "farther_than": 0.5, "closer_than": 0.2}
     refuses("leave --ends out", Cutting, **apart, ends="film")
     refuses("contact is 0.1 and ends 'left': give one", Cutting, contact=0.1, ends="left")
@@ -294,14 +259,11 @@ def test_the_one_who_is_approached_is_the_target() -> None:
     np.testing.assert_allclose(demos.positions[:, 2], target[1:] / 10.0)
 
 
-def test_nobody_of_a_shoal_is_a_target_by_itself() -> None:
+def test_nobody_of_a_shoal_nor_who_is_approached_now_and_then_is_a_target() -> None:
     paths = shoal.simulate(shoal.ZonalLaw(), 3, 7, 200, np.random.default_rng(0))
     shoals = [tracks(one, recording=f"shoal_{k}") for k, one in enumerate(paths)]
     demos = demonstrations_from_tracks(shoals, ImportRecipe(target="auto"))
     assert set(demos.roles) == {"pursuer"} and demos.is_group
-
-
-def test_who_is_approached_now_and_then_is_no_target() -> None:
     still, comes = np.zeros((200, 2)), np.linspace(5.0, 0.1, 200)[:, None] * [1.0, 0.0]
     one = np.stack([still, comes, -comes], axis=1)
     assert pursued_individual([one]) == 0
@@ -318,13 +280,6 @@ def test_no_recording_lies_in_two_splits() -> None:
     assert demos.num_episodes == 24
     for name in np.unique(demos.recording):
         assert len(np.unique(demos.split[demos.recording == name])) == 1
-
-
-@pytest.mark.parametrize("count", [3, 4, 5, 9, 40])
-def test_no_split_stays_empty_with_three_groups_or_more(count: int) -> None:
-    for seed in range(20):
-        split = assign_splits([f"g{i}" for i in range(count)], seed)
-        assert set(split.tolist()) == {"train", "val", "test"}
 
 
 def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None:

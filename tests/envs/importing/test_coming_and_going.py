@@ -50,17 +50,8 @@ def test_each_animal_that_comes_and_goes_is_a_recording(tmp_path: Path) -> None:
     x = x[np.isfinite(x)]
     assert np.diff(x) * HZ == pytest.approx(1.0, abs=0.01)
     assert "irregular clock resampled to 12.5 Hz" in str(tracks.provenance["read_as"])
-
-
-def test_an_even_clock_is_taken_as_it_is(tmp_path: Path) -> None:
-    (tracks,) = read_tracks(larvae(tmp_path, "fed", uneven=0.0))
-    assert tracks.frame_rate == HZ and "resampled" not in str(tracks.provenance["read_as"])
-
-
-def test_animals_that_are_seen_together_stay_one_recording(tmp_path: Path) -> None:
-    rows = [f"{who},{f},{who + f / 10},{f % 7}" for f in range(100) for who in range(3)]
-    demos = follow(TEN_HERTZ, [table(tmp_path, "shoal", rows)])
-    assert demos.num_individuals == 3
+    (even,) = read_tracks(larvae(tmp_path, "even", uneven=0.0))
+    assert even.frame_rate == HZ and "resampled" not in str(even.provenance["read_as"])
 
 
 def table(folder: Path, name: str, rows: list[str]) -> Path:
@@ -98,17 +89,16 @@ def test_of_a_group_that_comes_and_goes_pieces_have_those_who_stay(tmp_path: Pat
     assert f"nothing is seen of the others ({100 * used:.0f} % of what was tracked is used)" in said
 
 
-def test_the_number_of_animals_may_differ_between_recordings(tmp_path: Path) -> None:
+def test_animals_that_are_seen_together_stay_one_recording_whatever_their_number(
+    tmp_path: Path,
+) -> None:
+    rows = [f"{who},{f},{who + f / 10},{f % 7}" for f in range(100) for who in range(3)]
+    demos = follow(TEN_HERTZ, [table(tmp_path, "shoal", rows)])
+    assert demos.num_individuals == 3
     files = [school(tmp_path, "pond", 9, 0), school(tmp_path, "lake", 6, 0)]
     demos = follow(TEN_HERTZ, files)
     assert demos.num_individuals == 6
     assert set(demos.recording.tolist()) == {"pond", "lake"}
-
-
-def test_a_group_that_is_never_there_for_long_is_refused(tmp_path: Path) -> None:
-    rows = [f"{w},{f},{w},{f % 3}" for f in range(60) for w in range(4) if (f + w) % 4]
-    path = table(tmp_path, "blinking", rows)
-    refuses("no three animals are there throughout", follow, TEN_HERTZ, [path])
 
 
 def test_tracks_that_are_too_short_are_said(tmp_path: Path) -> None:
@@ -144,6 +134,9 @@ def test_a_group_that_is_none_is_refused(
 ) -> None:
     recipe = default_recipe(get_reader("long-table"), frame_rate=10.0, **given)
     refuses(said, follow, recipe, [school(tmp_path, "pond", count, 0)])
+    rows = [f"{w},{f},{w},{f % 3}" for f in range(60) for w in range(4) if (f + w) % 4]
+    path = table(tmp_path, "blinking", rows)
+    refuses("no three animals are there throughout", follow, TEN_HERTZ, [path])
 
 
 def test_how_many_neighbours_are_seen_is_said_at_import(tmp_path: Path) -> None:

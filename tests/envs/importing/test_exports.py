@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
 from commands import animarl
 from numpy.typing import NDArray
 from refusals import refuses
@@ -145,60 +144,21 @@ def tables(**how: Any) -> Callable[[Path], object]:
 LONG = long(frame="frame", id="id", x="x", y="y")
 TIMED = long(time="time", id="individual", x="x", y="y")
 PLAIN = ("frame", "id", "x", "y")
-SPOKEN = ("time", "individual", "x", "y")
-GERMAN = long(time="Zeit", id="Tier", x="X", y="Y")
 EXPORTS = {
     "pandas": Export(saved(LONG), PLAIN, timed=False),
-    "pandas with an index": Export(saved(LONG, index=True), PLAIN, timed=False),
-    "R write.csv": Export(saved(LONG, quoting=2), PLAIN, timed=False),
-    "R write.csv2": Export(
-        saved(TIMED, sep=";", decimal=","), SPOKEN, pandas={"sep": ";", "decimal": ","}
-    ),
-    "tabs in txt": Export(saved(TIMED, sep="\t"), SPOKEN, "a.txt", {"sep": "\t"}),
-    "tabs in xls": Export(saved(TIMED, sep="\t"), SPOKEN, "a.xls", {"sep": "\t"}),
-    "blanks": Export(
-        lambda path: path.write_text(TIMED.to_string(index=False) + "\n"), SPOKEN, "a.txt",
-        {"sep": r"\s+"},
-    ),
-    "Excel with a byte order mark": Export(
-        saved(GERMAN, sep=";", decimal=",", encoding="utf-8-sig"), ("Zeit", "Tier", "X", "Y"),
-        pandas={"sep": ";", "decimal": ","},
-    ),
-    "Excel's Unicode text": Export(
-        saved(TIMED, sep="\t", encoding="utf-16"), SPOKEN, "a.txt",
-        {"sep": "\t", "encoding": "utf-16"},
-    ),
-    "Latin-1": Export(
-        saved(GERMAN.replace({"Tier": {"male": "Männchen"}}), encoding="latin-1"),
-        ("Zeit", "Tier", "X", "Y"), pandas={"encoding": "latin-1"},
-    ),
     "units in the names": Export(
         saved(long(time="t [ms]", id="Animal ID", x="x (mm)", y="y (mm)").assign(
             **{"t [ms]": np.repeat(np.arange(COUNT), 2) * 40})),
         ("t [ms]", "Animal ID", "x (mm)", "y (mm)"), unit="mm",
     ),
-    "ISO times": Export(
-        saved(long(iso="timestamp", id="animal", x="pos_x", y="pos_y")),
-        ("timestamp", "animal", "pos_x", "pos_y"),
-    ),
-    "ISO times of several digits": Export(
-        saved(long(iso="Date time", id="Mouse", x="X", y="Y"), date_format="%Y-%m-%dT%H:%M:%S.%fZ"),
-        ("Date time", "Mouse", "X", "Y"),
-    ),
     "ctrax": Export(
         saved(long(frame="frame", time="timestamp", number="identity", x="x_pos", y="y_pos")),
         ("frame", "identity", "x_pos", "y_pos"),
-    ),
-    "a multi-object tracker": Export(
-        saved(long(frame="frame_id", number="track_id", x="cx", y="cy", score="confidence")),
-        ("frame_id", "track_id", "cx", "cy"), timed=False,
     ),
     "TrackMate": Export(
         trackmate, ("FRAME", "TRACK_ID", "POSITION_X", "POSITION_Y"),
         pandas={"skiprows": [1, 2, 3]}, unit="um",
     ),
-    "a workbook": Export(tables(), ("Frame", "Animal", "X (mm)", "Y (mm)"), "a.xlsx", unit="mm",
-                         timed=False),
     "a workbook with lines before": Export(
         tables(startrow=4), ("Frame", "Animal", "X (mm)", "Y (mm)"), "a.xlsx", {"skiprows": 4},
         unit="mm", timed=False,
@@ -208,10 +168,6 @@ EXPORTS = {
               sep=";", decimal=","),
         (("X1 (cm)", "Y1 (cm)"), ("X2 (cm)", "Y2 (cm)")), pandas={"sep": ";", "decimal": ","},
         unit="cm",
-    ),
-    "wide with ISO times": Export(
-        saved(wide(iso="timestamp", x0="a_x", y0="a_y", x1="b_x", y1="b_y"), sep="\t"),
-        (("a_x", "a_y"), ("b_x", "b_y")), "a.tsv", {"sep": "\t"},
     ),
     "merged cells": Export(
         merged_cells, (("a", "b"), ("c", "d")),
@@ -252,22 +208,6 @@ def test_exports_have_the_numbers_of_pandas_and_are_imported_by_one_command(
     assert demos.dt == pytest.approx(1 / RATE) and demos.provenance["unit"] == export.unit
 
 
-def test_exports_of_several_recordings_are_told_apart_and_begin_at_their_own_times(
-    tmp_path: Path,
-) -> None:
-    """``recording,time,individual,x,y``, the second recording hours after the first."""
-    table = pd.concat(
-        [TIMED.assign(recording=name, time=TIMED.time + start)
-         for name, start in (("day 1", 2286.0), ("day 2", 90_000.0))]
-    )[["recording", "time", "individual", "x", "y"]]  # fmt: skip
-    table.to_csv(tmp_path / "two.csv", index=False)
-    first, second = read_tracks(tmp_path / "two.csv")
-    assert (first.recording, second.recording) == ("day 1", "day 2")
-    for tracks in (first, second):
-        assert tracks.frame_rate == RATE and np.isfinite(tracks.bodies).all()
-        np.testing.assert_array_equal(tracks.bodies, BODIES[:, ::1][:, [0, 1]])
-
-
 def test_exports_in_pieces_of_a_second_clock_are_laid_side_by_side(tmp_path: Path) -> None:
     """Two subjects of a trial in two files; the second was found ten frames later."""
     paths = []
@@ -283,63 +223,6 @@ def test_exports_in_pieces_of_a_second_clock_are_laid_side_by_side(tmp_path: Pat
     np.testing.assert_array_equal(both.bodies[:, 0], BODIES[:, 0])
     np.testing.assert_array_equal(both.bodies[10:, 1], BODIES[10:, 1])
     assert np.isnan(both.bodies[:10, 1]).all()
-
-
-UNCLEAR = {
-    "names of nobody": ("a,b,c,d\n0,m,1,2\n1,m,2,3\n", "--option frame=a --option individual=b"),
-    "two pairs": (
-        "frame,id,x_centroid,y_centroid,x_center,y_center\n0,a,1,2,3,4\n", "--option x="
-    ),
-    "two identities": ("frame,animal,track_id,x,y\n0,a,7,1,2\n", "--option individual="),
-    "no times": ("animal,x,y\na,1,2\na,2,3\n", "--source long-table"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", UNCLEAR)
-def test_exports_that_are_not_clear_are_refused_with_the_command(kind: str, tmp_path: Path) -> None:
-    text, part = UNCLEAR[kind]
-    (tmp_path / "un clear.csv").write_text(text)
-    said = refuses("", read_tracks, tmp_path / "un clear.csv")
-    assert part in said and f"animarl import '{tmp_path}/un clear.csv'" in said
-    for column in text.split("\n")[0].split(","):
-        assert column in said
-
-
-def test_exports_with_letters_for_animals_are_told_from_units(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    letters = wide(frame="frame", x0="x_m", y0="y_m", x1="x_f", y1="y_f")
-    for table in (letters, letters.assign(recording="r")):  # where a long table might be seen
-        table.to_csv(path, index=False)
-        (tracks,) = read_tracks(path)
-        assert tracks.individuals == ("m", "f") and tracks.unit == "px"
-    wide(frame="frame", x0="x_m", y0="y_m").to_csv(path, index=False)
-    (tracks,) = read_tracks(path)
-    assert tracks.individuals == ("individual_0",) and tracks.unit == "m"
-
-
-@pytest.mark.parametrize("recording", [{}, {"recording": "r"}])
-@pytest.mark.parametrize("first", ["x_mm,y_mm", "x,y", "X (cm),Y (cm)"])
-def test_exports_with_a_pair_left_over_are_refused(
-    first: str, recording: dict[str, str], tmp_path: Path
-) -> None:
-    path, (x, y) = tmp_path / "t.csv", first.split(",")
-    table = wide(frame="frame", x0=x, y0=y, x1="x_f", y1="y_f").assign(**recording)
-    table.to_csv(path, index=False)
-    said = refuses(r"t\.csv: columns 'x_f' and 'y_f' are left over", read_tracks, path)
-    columns = yaml.safe_load(said.partition("'columns=")[2].partition("'")[0])
-    (tracks,) = read_tracks(path, "wide-table", columns=columns)
-    np.testing.assert_array_equal(tracks.bodies, BODIES)
-    moving = {"x_f": "velocity_x", "y_f": "velocity_y"}
-    table.rename(columns=moving).to_csv(path, index=False)
-    assert read_tracks(path)[0].individuals == ("individual_0",)
-
-
-def test_exports_with_a_wrong_cell_are_refused_by_line_and_column(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    rows = [f"{t};a;{t},5;1,5" for t in range(20)]
-    rows[11] = "11;a;eleven;1,5"
-    path.write_text("# a tracker\n\nframe;id;x;y\n" + "\n".join(rows) + "\n")
-    refuses("line 15, column 'x' holds 'eleven'", read_tracks, path)
 
 
 def test_exports_take_a_decimal_sign_as_typed_in_a_shell(tmp_path: Path) -> None:

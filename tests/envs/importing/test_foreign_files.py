@@ -54,9 +54,6 @@ def marker(tmp_path: Path) -> Any:
     assert not place.exists(), "code of the file has run"
 
 
-# -- no code runs ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("attribute", ["TITLE", "info", "non_index_axes"])
 @pytest.mark.parametrize("source", ["deeplabcut", "movement", None])
 def test_a_pickle_in_an_attribute_of_foreign_hdf5_does_not_run(
@@ -196,9 +193,6 @@ def test_foreign_yaml_gives_each_key_once() -> None:
     assert parse_yaml("", "t") is None
 
 
-# -- no blow-up, no hang ---------------------------------------------------------------------------
-
-
 def header_of_many_columns(path: Path) -> None:
     names = ",".join(f"x_{i},y_{i}" for i in range(50_000))
     path.with_suffix(".csv").write_text(names + "\n" + ",".join("0" * 100_000) + "\n")
@@ -299,9 +293,6 @@ def test_pipes_beside_foreign_files_are_refused(tmp_path: Path) -> None:
     refuses("is a folder", Demonstrations.load, tmp_path)
     native = write_native(tmp_path)
     assert Demonstrations.load(native).num_episodes == 3
-
-
-# -- what an HDF5 file may not send a reader to ---------------------------------------------------
 
 
 def external_link(file: Any, elsewhere: Path) -> None:

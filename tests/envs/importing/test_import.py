@@ -48,7 +48,9 @@ def test_dry_import_says_what_it_understood_and_writes_nothing(tmp_path: Path) -
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_sessions_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+def test_sessions_of_one_name_are_told_apart_and_animals_of_one_put_together(
+    tmp_path: Path,
+) -> None:
     files = []
     for name in ("s1", "s2"):
         (tmp_path / name).mkdir()
@@ -64,18 +66,14 @@ def test_sessions_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) ->
         animarl("import", *files, *words, "--metadata", table)
         for one in Demonstrations.load(tmp_path / "demos.npz"):
             assert one.condition == known.index(one.recording)
-
-
-def test_animals_of_one_recording_in_several_folders_are_put_together(tmp_path: Path) -> None:
-    files = []
+    apart = []  # animals of one recording
     for name in ("male", "female"):
-        files.append(tmp_path / name / "r.csv")
-        files[-1].parent.mkdir()
-        files[-1].write_text(
-            "frame,id,x,y\n" + "".join(f"{t},{name},{t},{len(name)}\n" for t in range(99))
-        )
-    animarl("import", *files, "--fps", 20, "--out", tmp_path / "demos.npz")
-    demos = Demonstrations.load(tmp_path / "demos.npz")
+        apart.append(tmp_path / name / "r.csv")
+        apart[-1].parent.mkdir()
+        rows = "".join(f"{t},{name},{t},{len(name)}\n" for t in range(99))
+        apart[-1].write_text("frame,id,x,y\n" + rows)
+    animarl("import", *apart, "--fps", 20, "--out", tmp_path / "both.npz")
+    demos = Demonstrations.load(tmp_path / "both.npz")
     assert demos.num_individuals == 2 and set(demos.recording) == {"r"}
 
 
@@ -100,16 +98,6 @@ def test_options_without_effect_on_finished_demonstrations_are_refused(tmp_path:
     assert not out.exists()
 
 
-def test_import_names_the_file_of_a_recording_with_a_fault(tmp_path: Path) -> None:
-    table = write_long(tmp_path)
-    words = ("import", table, "--fps", 20, "--individuals", "ghost", "--dry-run")
-    refuses(f"{table}: {table.stem}: there is no individual 'ghost'", animarl, *words)
-
-
-def test_the_help_of_import_shows_a_whole_pattern() -> None:
-    assert "(?P<condition>sham|drug)" in animarl("import", "--help")
-
-
 def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
     table, out = write_long(tmp_path), tmp_path / "demos.npz"
     for words, message in (
@@ -129,9 +117,19 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 20, "--smoothing", -1, "--out", out), "smoothing_cutoff is -1.0 Hz: it must be"),
         (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
         (("--fps", 20, "--option", "unit={a: 1}", "--out", out), "give a name, such as mm"),
+        (
+            ("--fps", 20, "--individuals", "ghost", "--dry-run"),
+            f"{table}: {table.stem}: there is no individual 'ghost'",
+        ),
     ):
         refuses(message, animarl, "import", table, *words)
     assert not out.exists() and not list(tmp_path.glob(".demos*"))
+    refuses("tracks: there is no recording in it", demonstrations_from_tracks, [], ImportRecipe())
+    out.mkdir()
+    (tmp_path / "file").write_text("a file")
+    for place in (out, tmp_path / "file" / "demos.npz"):
+        words = ("import", table, "--fps", 20, "--out", place)
+        refuses("it is a folder|cannot be written", animarl, *words)
 
 
 def test_data_commands(tmp_path: Path) -> None:
@@ -207,19 +205,6 @@ def test_imported_tracks_are_an_environment_at_once(pursuers: int, tmp_path: Pat
     assert env.observation_space.contains(seen) and not np.array_equal(seen, first)
 
 
-@pytest.mark.parametrize("place", ["a folder", "a file as folder"])
-def test_import_to_a_place_that_cannot_be_written_is_refused(place: str, tmp_path: Path) -> None:
-    table = write_long(tmp_path)
-    out = tmp_path / "demos.npz"
-    if place == "a folder":
-        out.mkdir()
-    else:
-        out.write_text("a file")
-        out = out / "demos.npz"
-    told = "it is a folder|cannot be written"
-    refuses(told, animarl, "import", table, "--fps", 20, "--out", out)
-
-
 def test_data_split_by_group_keeps_groups_together(tmp_path: Path) -> None:
     lines = ["run,frame,id,x,y"]
     for run in range(12):
@@ -272,13 +257,6 @@ def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
     refuses(r"ends in \.png", animarl, "data", "plot", native, "--out", tmp_path / "figure.txt")
 
 
-def test_no_recording_at_all_is_said() -> None:
-    refuses("tracks: there is no recording in it", demonstrations_from_tracks, [], ImportRecipe())
-
-
-# -- scenes of one's own --------------------------------------------------------------------------
-
-
 def in_pixels(demos: Demonstrations) -> list[Tracks]:
     """Chases as a camera would give them: 25 px to a unit, the origin elsewhere."""
     return [
@@ -291,15 +269,10 @@ def in_pixels(demos: Demonstrations) -> list[Tracks]:
     ]  # fmt: skip
 
 
-def imported(centre: tuple[float, float] | None) -> Demonstrations:
-    """An open field, in which nobody said what an arena unit is."""
-    scaling = Scaling(shape="open", centre=centre)
-    recipe = ImportRecipe(target="prey", scaling=scaling)
-    return demonstrations_from_tracks(in_pixels(few(test=3)), recipe)
-
-
 def test_inputs_of_networks_are_centred_and_scaled_in_any_unit(tmp_path: Path) -> None:
-    demos = imported(None)
+    scaling = Scaling(shape="open", centre=None)  # nobody said what an arena unit is
+    recipe = ImportRecipe(target="prey", scaling=scaling)
+    demos = demonstrations_from_tracks(in_pixels(few(test=3)), recipe)
     assert np.abs(demos.positions).max() <= 1.0 + 1e-9
     run = made(tmp_path, "soft-bc", demos=demos, species="custom", rolled_out=False)
     species = run.species

@@ -16,7 +16,7 @@ from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import Cleaning, Scaling, clean, fill_gaps, resample
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers import follow, read_tracks
+from animarl_envs.importing.readers import follow
 from animarl_envs.importing.tracks import Tracks, merge
 from animarl_envs.locomotion import shorter_turn
 from tools.fuzz.layouts import POSE, write_analysis, write_dlc_csv, write_slp
@@ -59,16 +59,15 @@ def test_headings_count_counter_clockwise_and_follow_their_individuals(
 ) -> None:
     angle = spinning()
     demos = demonstrations_from_tracks([pair(angle, y_down=y_down)], recipe(target=target))
+    scaling = Scaling(width=900.0, centre=(250.0, 310.0), px_per_cm=3.0)
+    scaled = demonstrations_from_tracks(
+        [pair(angle, y_down=y_down)], recipe(target=target, scaling=scaling)
+    )
+    assert same(scaled.headings(), demos.headings())
     order = [1, 0] if target == "male" else [0, 1]
     wanted = (-angle if y_down else angle)[1:, order]
     assert same(demos.headings(), wanted)
     assert demos.provenance["cleaning"]["r"]["heading"] == ["thorax", "head"]
-
-
-def test_scale_and_centre_of_the_arena_turn_nothing() -> None:
-    scaling = Scaling(width=900.0, centre=(250.0, 310.0), px_per_cm=3.0)
-    demos = demonstrations_from_tracks([pair(spinning())], recipe(scaling=scaling))
-    assert same(demos.headings(), spinning()[1:])
 
 
 @pytest.mark.parametrize("rate", [10.0, 8.0])
@@ -125,9 +124,6 @@ def test_files_of_one_animal_each_keep_their_headings() -> None:
     assert np.array_equal(merged.choose(["b"]).signals["heading"][2:], heading[2:, 1:])
 
 
-# -- files ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("write", [write_slp, write_analysis, write_dlc_csv])
 def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: Path) -> None:
     out = tmp_path / "demos.npz"
@@ -150,11 +146,6 @@ def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: 
     assert "heading thorax, head" in animarl("import", write(tmp_path), *dry)
 
 
-def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
-    demos = follow(ImportRecipe(source="sleap", frame_rate=25.0), [write_slp(tmp_path)])
-    assert "heading" not in demos.signals and demos.headings() is None
-
-
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
@@ -167,33 +158,3 @@ def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
 def test_keypoints_that_make_no_heading_are_refused(asked: str, says: str, tmp_path: Path) -> None:
     words = ("import", write_slp(tmp_path), "--fps", 25, "--heading", asked, "--dry-run")
     refuses(says, animarl, *words)
-
-
-def write_table(folder: Path, column: str = "theta_deg") -> Path:
-    """A long table of two animals, one row missing."""
-    angle = np.rad2deg(spinning(60))
-    lines = [f"frame,id,x,y,{column}"]
-    for t in range(60):
-        for i, name in enumerate(("male", "female")):
-            if (t, i) != (30, 0):
-                lines.append(f"{t},{name},{t + 10 * i},{t * 0.5 + i},{angle[t, i]:.9f}")
-    (folder / "long.csv").write_text("\n".join(lines) + "\n")
-    return folder / "long.csv"
-
-
-def test_a_table_s_column_of_headings_is_named_and_its_unit_read(tmp_path: Path) -> None:
-    path = write_table(tmp_path)
-    assert not read_tracks(path, fps=20.0)[0].signals
-    (tracks,) = read_tracks(path, fps=20.0, heading="theta_deg")
-    order = [tracks.individuals.index(name) for name in ("male", "female")]
-    heading = tracks.signals["heading"][:, order]
-    assert np.isnan(heading[30, 0]) and np.isfinite(np.delete(heading.ravel(), 60)).all()
-    assert same(np.delete(heading, 30, axis=0), np.delete(spinning(60), 30, axis=0), 1e-6)
-    out = tmp_path / "demos.npz"
-    animarl("import", path, "--fps", 20, "--target", "female", "--option", "heading=theta_deg",
-            "--max-gap", 0.2, "--piece", "inf", "--out", out)  # fmt: skip
-    demos = Demonstrations.load(out)
-    assert same(demos.headings(), spinning(60)[1:], within=1e-6)
-    bare = write_table(tmp_path, "theta")
-    (stated,) = read_tracks(bare, fps=20.0, heading="theta", angle_unit="deg")
-    assert np.array_equal(stated.signals["heading"], tracks.signals["heading"], equal_nan=True)

@@ -94,9 +94,6 @@ def test_python_of_the_reader_pages_runs() -> None:
     registry._READERS.pop("two-columns")
 
 
-# -- the fitting table ---------------------------------------------------------------------------
-
-
 def table_maker() -> ModuleType:
     spec = importlib.util.spec_from_file_location("table", DOCS / "make_fitting_table.py")
     assert spec is not None and spec.loader is not None

@@ -1,4 +1,4 @@
-"""Readers: known answers on files written in each layout.
+"""Readers: known answers on files written in each layout, and the recordings at hand.
 
 What is read of every layout, number for number, is in the golden table of files.
 """
@@ -7,24 +7,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusals import refuses
 
-from animarl_envs.importing.readers import available_readers, find_reader, follow, read, read_tracks
+from animarl_envs.demos import Demonstrations
+from animarl_envs.fitting import fit_locomotion, transitions
+from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.importing.readers import (
+    available_readers,
+    default_recipe,
+    find_reader,
+    follow,
+    get_reader,
+    read,
+    read_tracks,
+)
+from animarl_envs.locomotion import Locomotion
 from tools.fuzz.layouts import (
     BODIES,
     KINDS,
     NAMES,
     NODES,
     POSE,
-    agents_arrays,
-    write_agents,
-    write_authors_agents,
-    write_fly_groups,
     write_mothvr,
     write_slp,
-    write_termites,
     write_trex,
 )
+from tools.packaged_data.moth_comparison import RECORDED_FIT
 
 HOLDING = {holds: [k for k in KINDS if KINDS[k].holds == holds] for holds in ("bodies", "poses")}
 FOUND = [kind for kind in KINDS if kind != "movement"]  # which is only used when it is named
@@ -56,6 +63,22 @@ def test_reader_of_poses_returns_every_keypoint(kind: str, tmp_path: Path) -> No
     assert tracks.y_down
 
 
+def test_trex_reader_returns_positions_frame_rate_and_gaps(tmp_path: Path) -> None:
+    path = write_trex(tmp_path)
+    (tracks,) = read_tracks(path)
+    np.testing.assert_array_equal(tracks.bodies[:, 0], BODIES[:, 0])
+    assert tracks.frame_rate == 25.0 and tracks.unit == "cm" and tracks.recording == "video"
+    with np.load(path) as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    kept = np.arange(len(BODIES)) != 7
+    for key in ("frame", "X#wcentroid", "Y#wcentroid"):
+        arrays[key] = arrays[key][kept]
+    np.savez(path, **arrays)
+    (tracks,) = read_tracks(path)
+    np.testing.assert_array_equal(tracks.bodies[kept, 0], BODIES[kept, 0])
+    assert np.isnan(tracks.bodies[7]).all()
+
+
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
     from animarl_envs.importing.import_recipe import ImportRecipe
 
@@ -64,25 +87,6 @@ def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
     demos = follow(ImportRecipe(target="fish1"), files)
     assert demos.individuals == ("fish0", "fish1") and demos.dt == pytest.approx(0.04)
     assert demos.recording.tolist() == ["video"]
-
-
-def test_agents_reader(tmp_path: Path) -> None:
-    demos, arrays = read(write_agents(tmp_path)), agents_arrays()
-    np.testing.assert_array_equal(demos.positions, arrays["pos"].astype(np.float64))
-    assert demos.lengths.tolist() == [6, 4, 10] and (demos.condition == 1).all()
-    assert demos.outcome.tolist() == [1, -1, 0] and (demos.initial_velocity == 0).all()
-    recorded = demos.signals["actions"]
-    np.testing.assert_array_equal(recorded[recorded[:, 0] >= 0], arrays["actions"])
-    assert (recorded[[5, 9, 19]] == -1).all()
-
-
-def test_silkmoth_runs(tmp_path: Path) -> None:
-    demos = read(write_mothvr(tmp_path))
-    assert demos.outcome.tolist() == [1] and demos.dt == 0.5
-    # 91 frames: 0, 15, ..., 90; the first only makes the first velocity.
-    np.testing.assert_allclose(demos.positions[:, 0, 0], 0.3 - 0.25 * np.arange(15, 91, 15) / 90)
-    assert demos.signals["odour_left"].all()  # a step of 15 frames, of which every fourth is hit
-    assert demos.signals["wind"].tolist() == [t // 4 % 4 for t in range(15, 91, 15)]
 
 
 def test_a_hit_counts_in_the_step_of_its_frame_and_in_no_other(tmp_path: Path) -> None:
@@ -105,47 +109,6 @@ def test_silkmoth_keeps_the_final_frame(tmp_path: Path) -> None:
     assert read(path).positions[-1, 0, 0] == pytest.approx(0.3 - 0.25 * 87 / 90)
 
 
-def test_authors_agents(tmp_path: Path) -> None:
-    demos = read(write_authors_agents(tmp_path))
-    assert demos.num_episodes == 2 and (demos.condition == 1).all()
-    assert demos.individuals == ("predator_0", "predator_1", "prey")
-    prey = BODIES[1:, 0] / 200
-    np.testing.assert_allclose(demos.episode(0).positions[:, 2], prey)  # first in the file
-    np.testing.assert_allclose(demos.episode(0).positions[:, 0], prey + 0.1)
-
-
-def test_trex_reader_returns_positions_frame_rate_and_gaps(tmp_path: Path) -> None:
-    path = write_trex(tmp_path)
-    (tracks,) = read_tracks(path)
-    np.testing.assert_array_equal(tracks.bodies[:, 0], BODIES[:, 0])
-    assert tracks.frame_rate == 25.0 and tracks.unit == "cm" and tracks.recording == "video"
-    with np.load(path) as archive:
-        arrays = {key: archive[key] for key in archive.files}
-    kept = np.arange(len(BODIES)) != 7
-    for key in ("frame", "X#wcentroid", "Y#wcentroid"):
-        arrays[key] = arrays[key][kept]
-    np.savez(path, **arrays)
-    (tracks,) = read_tracks(path)
-    np.testing.assert_array_equal(tracks.bodies[kept, 0], BODIES[kept, 0])
-    assert np.isnan(tracks.bodies[7]).all()
-
-
-def test_termites_reader_returns_millimetres_male_first(tmp_path: Path) -> None:
-    (tracks,) = read_tracks(write_termites(tmp_path))
-    assert tracks.individuals == ("male", "female") and tracks.unit == "mm"
-    np.testing.assert_allclose(tracks.bodies, BODIES * 0.45, atol=0.45 * 0.01)  # rounding in px
-    assert tracks.frame_rate == 30.0 and tracks.y_down
-    refuses("choose Cf or Rs", read_tracks, write_termites(tmp_path), kind="Rs")
-
-
-def test_fly_groups_reader_returns_arena_units(tmp_path: Path) -> None:
-    (tracks,) = read_tracks(write_fly_groups(tmp_path))
-    assert tracks.recording == "CsCh_1" and tracks.individuals == ("fly_1", "fly_2")
-    np.testing.assert_allclose(tracks.bodies, BODIES, atol=0.005)
-    demos = read(write_fly_groups(tmp_path), target="fly_2")
-    assert demos.arena.shape == "disc" and demos.dt == pytest.approx(1 / 12)
-
-
 def test_tables_are_mapped_by_options(tmp_path: Path) -> None:
     """Other names, several recordings, times instead of frames, semicolons and decimal commas."""
     rows = [
@@ -164,19 +127,6 @@ def test_tables_are_mapped_by_options(tmp_path: Path) -> None:
         assert tracks.individuals == ("female", "male") and tracks.frame_rate == 25.0
         assert tracks.unit == "mm" and tracks.y_down
         np.testing.assert_allclose(tracks.bodies, BODIES[:, ::-1], atol=1e-6)
-
-
-def test_wide_tables_are_mapped_by_options(tmp_path: Path) -> None:
-    lines = [f"{t / 50},{x!r},{y!r}" for t, (x, y) in enumerate(BODIES[:, 0].tolist())]
-    (tmp_path / "wide.csv").write_text("t,mx,my\n" + "\n".join(lines) + "\n")
-    (tracks,) = read_tracks(
-        tmp_path / "wide.csv", "wide-table", columns={"male": ["mx", "my"]}, time="t"
-    )
-    assert tracks.individuals == ("male",) and tracks.frame_rate == 50.0
-    np.testing.assert_array_equal(tracks.bodies[:, 0], BODIES[:, 0])
-    (tmp_path / "lone.csv").write_text("x,y\n1,2\n3,4\n")
-    (lone,) = read_tracks(tmp_path / "lone.csv")
-    assert lone.individuals == ("individual_0",) and lone.bodies[1, 0].tolist() == [3.0, 4.0]
 
 
 def test_sleap_project_of_two_videos_gives_two_recordings(tmp_path: Path) -> None:
@@ -205,3 +155,74 @@ def test_sleap_project_of_two_videos_gives_two_recordings(tmp_path: Path) -> Non
     assert (first.recording, other.recording) == ("both/0", "both/1")
     np.testing.assert_allclose(first.positions, POSE, rtol=1e-6)
     np.testing.assert_allclose(other.positions, POSE[:30] + 5.0, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def moths(data_dir: Path) -> Demonstrations:
+    files = sorted((data_dir / "silkmoth_mothvr" / "raw").glob("*.csv"))
+    return follow(default_recipe(get_reader("mothvr")), files)
+
+
+@pytest.mark.realdata
+def test_import_of_silkmoth_runs(moths: Demonstrations) -> None:
+    assert moths.num_episodes == 24
+    assert (moths.outcome == 1).sum() == 22 and (moths.outcome == 0).sum() == 2
+    assert np.linalg.norm(moths.positions, axis=2).max() < 0.5  # metres
+    last = moths.positions[moths.offsets[1:] - 1, 0]
+    assert np.linalg.norm(last[moths.outcome == 1], axis=1).max() < 0.0512
+    assert not (moths.lengths > 601).any()
+
+
+@pytest.mark.realdata
+def test_onset_fit_of_silkmoth_runs_is_near_the_published_reanalysis(moths: Demonstrations) -> None:
+    (fit,) = fit_locomotion(moths, "onset", split=None).individuals
+    assert fit.damping == pytest.approx(0.341, abs=0.005)
+    assert fit.thrust == pytest.approx(0.0171, abs=0.0002)
+    assert Locomotion(round(fit.damping, 3), round(fit.thrust, 4)) == RECORDED_FIT
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("as_recorded", [False, True])
+def test_import_of_termite_pairs_cut_from_three_to_one_body_length(
+    as_recorded: bool, data_dir: Path
+) -> None:
+    path = data_dir / "termite_tandem" / "tracks_30fps_int16.npz"
+    counts = {}
+    for kind, body in (("Cf", 8.89), ("Rs", 5.5)):
+        recipe = default_recipe(get_reader("termites"), options={"kind": kind}).to_dict()
+        radius = 72.5  # of the dish [mm]
+        recipe["scaling"] |= {"width": 2 * radius, "boundary": 2.0}  # a jump leads out of the dish
+        recipe["cutting"] |= {
+            "mode": "approach", "farther_than": 3 * body / radius, "closer_than": body / radius,
+        }  # fmt: skip
+        if as_recorded:
+            recipe |= {"decision_rate": None, "cleaning": {}}
+        demos = follow(ImportRecipe.from_dict(recipe), [path])
+        counts[kind] = demos.num_episodes
+        assert demos.roles == ("pursuer", "target") and demos.individuals == ("male", "female")
+    assert counts == ({"Cf": 82, "Rs": 58} if as_recorded else {"Cf": 75, "Rs": 57})
+
+
+@pytest.mark.realdata
+def test_import_of_the_sleap_clip_agrees_with_its_plain_array(data_dir: Path) -> None:
+    from animarl_envs.importing.readers import read_tracks
+
+    folder = data_dir / "fly_courtship_sleapclip"
+    (tracks,) = read_tracks(folder / "clip.2node.slp")
+    with np.load(folder / "clip_2node_tracks.npz") as plain:
+        np.testing.assert_array_equal(tracks.positions, plain["xy"].astype(np.float64))
+        assert list(tracks.individuals) == plain["tracks"].tolist()
+
+
+@pytest.mark.realdata
+def test_a_shorter_last_interval_makes_no_slower_animal(moths: Demonstrations) -> None:
+    """The last frame of a search is kept although it falls between decisions."""
+    interval, last = moths.intervals(), moths.offsets[1:] - 1
+    assert (interval[last] < moths.dt).mean() > 0.5
+    assert np.allclose(np.delete(interval, last), moths.dt)
+    moved = np.linalg.norm(moths.positions[last, 0] - moths.positions[last - 1, 0], axis=1)
+    speed = np.linalg.norm(moths.velocities()[last, 0], axis=1)
+    np.testing.assert_allclose(speed, moved / interval[last])
+    assert speed[0] == np.linalg.norm(moths.episode(0).velocities[-1])
+    fewer = (interval[last] < 0.999 * moths.dt).sum()
+    assert len(transitions(moths, 0)) == (moths.lengths - 1).sum() - fewer

@@ -105,9 +105,6 @@ def test_parquet_reader_refuses_rows_beyond_what_the_file_may_ask_for(tmp_path: 
     refuses("more memory than a file of its size", read_tracks, path, "long-table")
 
 
-# -- numbers that are wrong at the end ------------------------------------------------------------
-
-
 TEXTS = sorted(name for name, kind in KINDS.items() if kind.guard == "text")
 
 

@@ -155,9 +155,6 @@ def test_refused_vectors() -> None:
         refuses(says, gym.make_vec, "AnimaRL/Agent-v0", **options)
 
 
-# -- the order of calls, and actions --------------------------------------------------------------
-
-
 def _actions(view: str, env: Any, action: Any) -> Any:
     if view == "vector":
         return np.array([0, 0, action])

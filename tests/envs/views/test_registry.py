@@ -1,12 +1,9 @@
 """Every registered id, view, condition and wrapper passes the libraries' checks and agrees."""
 
 import copy
-import hashlib
 import itertools
 import json
 import pickle
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -117,9 +114,6 @@ def test_registry_is_what_is_tested() -> None:
     assert len(CASES) > 40
 
 
-# -- the libraries' own checks --------------------------------------------------------------------
-
-
 def sb3_check_env(env: Any) -> None:
     """Stable-baselines3's, where it is installed: the core does without."""
     if find_spec("stable_baselines3") is not None:
@@ -143,9 +137,6 @@ def test_registry_single_passes_the_libraries_checks(case: Case) -> None:
 def test_registry_parallel_passes_the_libraries_checks(case: Case) -> None:
     parallel_api_test(case.parallel(), num_cycles=60)
     parallel_seed_test(case.parallel, num_cycles=30)
-
-
-# -- the views agree ------------------------------------------------------------------------------
 
 
 @every_case
@@ -197,32 +188,6 @@ def test_registry_parallel_equals_single(case: Case) -> None:
         assert info["outcome"] == infos[focal]["outcome"]
         if over or cut:
             break
-
-
-# -- determinism, copies, memory ------------------------------------------------------------------
-
-
-def digest(name: str) -> str:
-    """Of all that 60 steps of five copies return."""
-    case = Case(name, recorded=True, condition="demo", wrappers="bare")
-    vector = case.vector(5)
-    returned = hashlib.sha256(vector.reset(seed=11)[0].tobytes())
-    for k in range(60):
-        observations, rewards, *_ = vector.step(np.array([(k // 3 + b) % 13 for b in range(5)]))
-        returned.update(observations.tobytes() + rewards.tobytes())
-    return returned.hexdigest()
-
-
-def test_registry_same_seed_same_bytes_in_another_process() -> None:
-    program = (
-        f"import sys; sys.path[:0] = {sys.path!r}\n"
-        f"from test_registry import digest\nprint([digest(n) for n in {NAMES}])"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.strip() == str([digest(name) for name in NAMES])
 
 
 def _same(one: Any, two: Any) -> bool:
@@ -292,9 +257,6 @@ def test_registry_nothing_returned_shares_memory(case: Case) -> None:
         owned = [a for a in vars(world).values() if isinstance(a, np.ndarray) and a.size]
         for a in returned:
             assert not any(np.shares_memory(a, b) for b in owned)
-
-
-# -- specs and infos ------------------------------------------------------------------------------
 
 
 @every_case
@@ -393,22 +355,6 @@ def test_registry_torchrl_takes_all_individuals() -> None:
 
 
 @pytest.mark.parametrize("name", packaged_names())
-def test_registry_packaged_demonstrations_are_the_default(name: str) -> None:
-    env = gym.make(animarl_envs.environment_id(name), recorded=True)
-    _, info = env.reset(seed=0)
-    assert (info["scenario"]["start"], info["scenario"]["split"]) == ("demo", "train")
-    assert info["demo"] >= 0
-    check_env(env.unwrapped, skip_render_check=True)
-    sb3_check_env(env.unwrapped)
-    parallel_api_test(animarl_envs.parallel_env(name, recorded=True), num_cycles=60)
-    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8, recorded=True)
-    observations, _ = vector.reset(seed=0)
-    for k in range(200):
-        assert vector.observation_space.contains(observations)
-        observations, *_ = vector.step(np.full(8, k // 10 % 13))
-
-
-@pytest.mark.parametrize("name", packaged_names())
 def test_registry_packaged_demonstrations_end_as_recorded(name: str) -> None:
     """Replayed in their world, all of them, at the recorded step and with the recorded outcome."""
     demos = load_packaged(name)
@@ -425,15 +371,3 @@ def test_registry_packaged_demonstrations_end_as_recorded(name: str) -> None:
             continue
         assert np.array_equal(over[running], steps[running] == t)
         assert np.array_equal(world.outcome[steps == t], demos.outcome[steps == t])
-
-
-@pytest.mark.parametrize("name", SPECIES)
-def test_registry_another_seed_is_another_episode(name: str) -> None:
-    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8, demos=None)
-    vector.reset(seed=0)  # copy b is seeded with b
-    paths = np.stack([vector.step(np.zeros(8, dtype=int))[0] for _ in range(15)])
-    if name == "solo":  # one animal in the open sees the same everywhere, so its place is compared
-        paths = vector.unwrapped.world.position  # type: ignore[attr-defined]
-        assert np.abs(paths - paths[:1]).max() > 0.0
-        return
-    assert np.abs(paths - paths[:, :1]).max() > 0.0

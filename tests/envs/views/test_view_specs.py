@@ -24,9 +24,6 @@ from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
 AGENT, SILKMOTH = "AnimaRL/Agent-v0", "AnimaRL/Silkmoth-v0"
 
 
-# -- the time limit -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", SPECIES)
 def test_spec_says_the_longest_episode(name: str) -> None:
     env_id, limit = animarl_envs.environment_id(name), SPECIES[name].time_limit
@@ -38,13 +35,10 @@ def test_spec_says_the_longest_episode(name: str) -> None:
     assert gym.make_vec(env_id, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7  # type: ignore[union-attr]
 
 
-def test_spec_of_own_animals_says_their_longest_episode() -> None:
-    env = gym.make("AnimaRL/Custom-v0", demos=dogs(2))
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == env.unwrapped.time_limit  # type: ignore[attr-defined]
-
-
-def test_spec_lets_time_be_observed() -> None:
+def test_spec_of_own_animals_says_their_limit_and_lets_time_be_observed() -> None:
+    own = gym.make("AnimaRL/Custom-v0", demos=dogs(2))
+    assert own.spec is not None
+    assert own.spec.max_episode_steps == own.unwrapped.time_limit  # type: ignore[attr-defined]
     env = TimeAwareObservation(gym.make(AGENT, demos=None), normalize_time=True)
     assert env.reset(seed=0)[0][-1] == 0.0
     assert env.step(12)[0][-1] == pytest.approx(1 / SPECIES["agent"].time_limit)
@@ -73,9 +67,6 @@ def test_spec_limits_that_are_none_are_refused(most: Any) -> None:
     refuses(told, gym.make_vec, AGENT, num_envs=2, max_episode_steps=most)
 
 
-# -- PettingZoo's registry ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [*SPECIES, CUSTOM])
 def test_spec_is_in_the_registry_of_pettingzoo(name: str) -> None:
     options = {"demos": dogs(2)} if name == CUSTOM else {}
@@ -92,9 +83,6 @@ def test_spec_of_pettingzoo_takes_the_most_cycles() -> None:
     ends = [list(env.step(dict.fromkeys(env.agents, 12))[3].values()) for _ in range(3)]
     assert ends == [[False] * 3, [False] * 3, [True] * 3]
     assert env.agents == []
-
-
-# -- infos of many copies -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
@@ -121,9 +109,6 @@ def test_spec_of_infos_holds_for_raw_dictionaries() -> None:
         assert set(infos) == names | {f"_{key}" for key in names}
         assert all(infos[f"_{key}"].tolist() == [True] * 3 for key in names)
         assert not any(isinstance(value, dict) for value in infos.values())
-
-
-# -- pictures -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("copies", [1, 5, 11])
@@ -163,12 +148,7 @@ def test_spec_of_pictures_suits_gymnasium_s_recorder(tmp_path: Any) -> None:
     assert clip.stat().st_size > 1000
 
 
-def test_spec_of_pictures_refuses_a_window_for_many() -> None:
-    with pytest.raises(InputError, match="render_mode is 'human': choose 'rgb_array' or None"):
-        AnimalVectorEnv("agent", 2, render_mode="human")
-
-
-def test_spec_of_pictures_pettingzoo_s_window_is_drawn_at_every_step(
+def test_spec_of_pictures_a_window_is_drawn_at_every_step_and_none_for_many(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
@@ -181,9 +161,8 @@ def test_spec_of_pictures_pettingzoo_s_window_is_drawn_at_every_step(
         env.step(dict.fromkeys(env.agents, 0))
     env.close()
     assert len(shown) == 4
-
-
-# -- keys, options --------------------------------------------------------------------------------
+    with pytest.raises(InputError, match="render_mode is 'human': choose 'rgb_array' or None"):
+        AnimalVectorEnv("agent", 2, render_mode="human")
 
 
 def test_spec_of_keys_is_one_that_gymnasium_can_play(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,9 +207,6 @@ def test_spec_of_options_lists_all_of_a_view_and_what_may_be_meant(view: Any) ->
     assert said == sorted(set(said))
     for name in said:
         assert name != "drivers" or view is AnimalParallelEnv
-
-
-# -- how vectors begin anew -----------------------------------------------------------------------
 
 
 def test_same_step_hands_out_the_last_observation() -> None:

@@ -32,9 +32,6 @@ def columns(world: ChaseWorld, whose: str) -> list[int]:
     return [names.index(f"{whose} {part}") for part in ("cosine", "sine")]
 
 
-# -- the state ------------------------------------------------------------------------------------
-
-
 def test_bodies_turn_by_the_law_of_their_species() -> None:
     world, rng = world_of(20), np.random.default_rng(0)
     world.reset()
@@ -124,9 +121,6 @@ def test_pictures_show_the_headings() -> None:
     assert np.array_equal(scene.headings, world.heading[1])
     world.step(np.zeros((2, 3), dtype=int))
     assert not np.array_equal(scene.headings, world.heading[1])
-
-
-# -- the senses -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("many", [2, 6])

@@ -1,7 +1,10 @@
 """The chase world against a plain reference, against recorded episodes, and its invariants."""
 
 import math
+import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +14,12 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import AGENT, FLY
+from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.chase.neighbours import FEW
 from animarl_envs.worlds.chase.world import ChaseWorld, observe
@@ -27,9 +31,6 @@ def world(copies: int = 1, start: Any = None, **options: Any) -> ChaseWorld:
     made = ChaseWorld(make_scenario("agent", demos=None, start=start, **options), copies)
     made.reset()
     return made
-
-
-# -- a scalar reference, written from the definitions ---------------------------------------------
 
 
 def reference_focus(position: Array) -> Array:
@@ -123,9 +124,6 @@ def test_kernels_agree_with_the_scalar_reference(pursuers: int, kind: str) -> No
                 assert made.observation[b, i] == pytest.approx(expected, abs=2e-6)
 
 
-# -- recorded episodes ----------------------------------------------------------------------------
-
-
 @pytest.mark.realdata
 @pytest.mark.parametrize("condition", ["share", "indiv"])
 def test_recorded_actions_reproduce_recorded_episodes(data_dir: Path, condition: str) -> None:
@@ -156,8 +154,6 @@ def test_recorded_actions_reproduce_recorded_episodes(data_dir: Path, condition:
     assert worst < 1e-5
 
 
-# -- ends and rewards -----------------------------------------------------------------------------
-
 APART = [[-0.5, 0.0], [-0.5, 0.4], [0.5, 0.0]]
 
 
@@ -166,9 +162,6 @@ def test_contact_is_judged_before_the_boundary() -> None:
     made.step(np.array([[0, COAST, 6]]))  # the prey leaves, but within the predator's reach
     assert made.position[0, 2, 0] > 1.1
     assert made.outcome[0] == 1
-
-
-# -- options --------------------------------------------------------------------------------------
 
 
 def test_a_replayed_path_is_followed_and_then_coasts() -> None:
@@ -187,7 +180,7 @@ def test_a_replayed_path_is_followed_and_then_coasts() -> None:
     assert made.velocity[0, 1:] == pytest.approx(0.75 * before, abs=1e-12)
 
 
-def test_a_late_observation_is_that_of_steps_ago() -> None:
+def test_a_late_observation_is_that_of_steps_ago_and_noise_has_the_stated_deviation() -> None:
     now, late = world(start=APART), world(start=APART, observation_delay=3)
     seen = [now.observation.copy()]
     for t in range(10):
@@ -195,89 +188,10 @@ def test_a_late_observation_is_that_of_steps_ago() -> None:
             made.step(np.zeros((1, 3), dtype=int))
         seen.append(now.observation.copy())
         assert np.array_equal(late.observation, seen[max(0, t + 1 - 3)])
-
-
-def test_noise_has_the_stated_deviation() -> None:
     clear, noisy = world(2000, start=APART), world(2000, start=APART, observation_noise=0.1)
     error = noisy.observation - clear.observation
     assert error.std() == pytest.approx(0.1, rel=0.02)
     assert abs(error.mean()) < 0.002
-
-
-def test_starts_without_demonstration_are_uniform_and_not_in_contact() -> None:
-    made = world(5000)
-    assert np.abs(made.position).max() <= 0.5
-    assert made.position.mean(axis=(0, 1)) == pytest.approx([0.0, 0.0], abs=0.01)
-    apart = np.linalg.norm(made.position[:, :2] - made.position[:, 2:], axis=2)
-    assert apart.min() >= AGENT.contact_radius
-
-
-def test_the_fly_senses_the_centre() -> None:
-    made = ChaseWorld(make_scenario(FLY, demos=None, observation="paper"), 20)
-    made.reset()
-    distance = np.linalg.norm(made.position, axis=2)
-    assert made.observation[..., -1] == pytest.approx(distance, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "edge"),
-    [({"arena": "disc"}, 1.1), ({"arena": "disc", "rebound": True}, 1.0), ({}, 1.1)],
-)
-def test_all_sense_the_edge_and_where_the_centre_is(options: Any, edge: float) -> None:
-    made = world(20, **options)
-    made.step(np.random.default_rng(0).integers(13, size=(20, 3)))
-    norm = 2 if options.get("arena") == "disc" else np.inf
-    out = np.linalg.norm(made.position, ord=norm, axis=2)
-    names = [c.name for c in made.observation_components]
-    at = names.index("distance to the edge")
-    assert names[at + 1 : at + 3] == ["centre of the arena ahead", "centre of the arena left"]
-    assert ("direction of the wall cosine" in names) == options.get("rebound", False)
-    assert made.observation[..., at] == pytest.approx(edge - out, abs=1e-6)
-    ahead, left = made.observation[..., at + 1], made.observation[..., at + 2]
-    ex, ey = made.towards[..., 0], made.towards[..., 1]
-    back = np.stack([ahead * ex - left * ey, ahead * ey + left * ex], axis=2)
-    assert back == pytest.approx(-made.position, abs=1e-6)
-
-
-@pytest.mark.parametrize("arena", ["disc", "square"])
-def test_walls_are_sensed_from_near(arena: str) -> None:
-    made = world(30, arena=arena, rebound=True)
-    rng = np.random.default_rng(1)
-    for _ in range(40):
-        made.step(rng.integers(13, size=(30, 3)))
-    names = [c.name for c in made.observation_components]
-    first = names.index("tanh of distance to the wall / (0.03 size)")
-    assert names[first:] == [
-        "tanh of distance to the wall / (0.03 size)", "tanh of distance to the wall / (0.1 size)",
-        "direction of the wall cosine", "direction of the wall sine",
-        "tanh of own velocity / (u dt) outwards", "tanh of own velocity / (u dt) along",
-        "tanh of own velocity / (3 u dt) outwards", "tanh of own velocity / (3 u dt) along",
-    ]  # fmt: skip
-    for b in range(30):
-        for i in range(3):
-            x, y = made.position[b, i].tolist()
-            if arena == "disc":
-                normal = np.array([x, y]) / math.hypot(x, y)
-            elif abs(x) >= abs(y):
-                normal = np.array([math.copysign(1.0, x), 0.0])
-            else:
-                normal = np.array([0.0, math.copysign(1.0, y)])
-            near = 1.0 - float(normal @ made.position[b, i])
-            ex, ey = made.towards[b, i].tolist()
-            velocity, stride = made.velocity[b, i], 3.0 * 0.1
-            outwards = float(normal @ velocity) / stride
-            along = float(normal[0] * velocity[1] - normal[1] * velocity[0]) / stride
-            expected = [
-                math.tanh(near / 0.03), math.tanh(near / 0.1),
-                float(normal @ [ex, ey]), float(normal @ [-ey, ex]),
-                math.tanh(outwards), math.tanh(along),
-                math.tanh(outwards / 3), math.tanh(along / 3),
-            ]  # fmt: skip
-            assert made.observation[b, i, first:] == pytest.approx(expected, abs=1e-5)
-    assert made.observation[..., first].min() < 0.1  # somebody is at a wall
-
-
-# -- the order of the others ----------------------------------------------------------------------
 
 
 def world_of(pursuers: int, copies: int = 3) -> ChaseWorld:
@@ -337,3 +251,67 @@ def test_the_focus_at_distance_zero_is_the_same_in_worlds_and_in_recordings() ->
     world._position[0] = world._position[2]
     world.reset(np.zeros(1, dtype=bool))  # observes again
     np.testing.assert_allclose(world.towards, focus_directions(world.position, species.roles))
+
+
+def test_so_many_pursuers_that_hardly_ever_all_are_apart_start_without_contact() -> None:
+    scenario = make_scenario("agent", num_pursuers=1000, start="uniform")
+    world = make_world(scenario, 2, observers=[])
+    world.reset()
+    apart = np.linalg.norm(world.position[:, :-1] - world.position[:, -1:], axis=-1)
+    assert apart.min() >= scenario.species.contact_radius
+    assert np.abs(world.position).max() <= scenario.species.start_half_side
+    assert world.position[:, :-1].std() > 0.5 * scenario.species.start_half_side / np.sqrt(3.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"locomotion": {"prey": {"thrust": 1e-320}}},
+        {"locomotion": {"prey": {"thrust": 1e308}}},
+        {"locomotion": {"prey": {"magnitudes": (1e300,)}}},
+        {"arena": 1e200},
+        {"dt": 1e300},
+        {"observation_noise": 1e300},
+    ],
+)
+def test_options_that_make_observations_infinite_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="which float32 cannot hold: choose"):
+        make_world(make_scenario("agent", demos=None, **options))
+
+
+@pytest.mark.parametrize(
+    "options", [{"locomotion": {"prey": {"thrust": 1e-30}}}, {"arena": 1e20}, {"dt": 1e-9}]
+)
+def test_odd_options_keep_observations_finite(options: dict[str, Any]) -> None:
+    world = make_world(make_scenario("agent", demos=None, **options))
+    world.reset()
+    for action in range(13):
+        world.step(np.full((1, 3), action))
+        assert np.isfinite(world.observation).all()
+
+
+PROGRAM = """
+import numpy as np
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import make_world
+options = {"agent": {}, "newt": {"senses_heading": True}, "silkmoth": {"plume": "off"}}
+for name in options:
+    world = make_world(make_scenario(name, **options[name]), 2)
+    world.reset()
+    for action in range(13):
+        world.step(np.full((2, world.num_individuals), action))
+        print(*np.float64(world.observation).ravel())
+"""
+
+
+def test_kernels_run_as_they_are_written_where_numba_is_off() -> None:
+    """So that ``make mutants`` sees them."""
+    printed = []
+    for off in ("1", "0"):
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", PROGRAM],
+            env=os.environ | {"NUMBA_DISABLE_JIT": off}, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        printed.append(np.array(done.stdout.split(), dtype=float))
+    assert len(printed[0]) > 1000
+    np.testing.assert_allclose(printed[0], printed[1], atol=1e-5)

@@ -42,9 +42,6 @@ def stepped(place: Any) -> World:
     return world
 
 
-# -- the world ------------------------------------------------------------------------------------
-
-
 def test_roles_and_names_come_from_the_number_of_targets() -> None:
     species = with_options(AGENT, num_targets=3)
     assert species.individuals == ("prey_0", "prey_1", "prey_2", "predator_0")
@@ -146,9 +143,6 @@ def test_what_contradicts_is_refused(options: dict[str, Any], said: str) -> None
     refuses(said, make_scenario, "agent", **options)
 
 
-# -- demonstrations -------------------------------------------------------------------------------
-
-
 @pytest.mark.filterwarnings("ignore:reset has no option .options.:UserWarning")  # PettingZoo's
 def test_a_flock_works_in_every_view() -> None:
     demos = flock(3)
@@ -225,9 +219,6 @@ def test_endings_are_told_in_words() -> None:
     ]  # fmt: skip
     assert outcome_name(2, demos) == "contact with sheep_1"
     assert outcome_name(TARGET_OUT, demos) == "a target left"
-
-
-# -- from a table to a report ---------------------------------------------------------------------
 
 
 def written(folder: Path, demos: Demonstrations, names: dict[str, str]) -> list[Path]:

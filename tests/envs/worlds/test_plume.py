@@ -17,7 +17,7 @@ import animarl_envs  # noqa: F401  registers the environments
 from animarl_envs.drawing.render import write_clip
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
+from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table
 from tools.packaged_data.plume_fit import compare
 
 SMALL = replace(FilamentModel.fitted(), period=6.0)
@@ -67,13 +67,6 @@ def test_table_is_the_maximum_over_a_step_and_over_the_antenna() -> None:
         np.testing.assert_array_equal(table.unpack(0, step), near)
 
 
-def test_patterns_are_fixed_different_and_repeat() -> None:
-    assert np.array_equal(SMALL.release(2), SMALL.release(2))
-    assert not np.array_equal(SMALL.release(2), SMALL.release(3))
-    again = SMALL.concentration(0, 1.2 + SMALL.period)
-    np.testing.assert_allclose(again, SMALL.concentration(0, 1.2), atol=1e-5)
-
-
 def test_puffs_come_once_a_second_and_travel_downwind() -> None:
     """Seen at one place the odour peaks every second; farther downwind it peaks later."""
     plume = ModelPlume(replace(FilamentModel.fitted(), period=60.0))
@@ -89,18 +82,6 @@ def test_puffs_come_once_a_second_and_travel_downwind() -> None:
     assert abs(near) > 0.6
     delay = -np.angle(far / near) / (2 * np.pi)  # [s]
     assert 0.14 / delay == pytest.approx(plume.model.advection_speed, rel=0.35)
-
-
-def test_is_hit_looks_up_the_nearest_cell() -> None:
-    frames = np.zeros((1, 21, 40), dtype=bool)
-    frames[0, 4, 25] = True  # 6 rows above the source, 25 columns downwind
-    table = Plume.from_array(frames, **MOVIE).pattern_table(0, 0.5, 0.0)
-
-    def hit(x: float, y: float) -> bool:
-        return bool(is_hit(table, 0, 0, x, y))
-
-    assert hit(0.025, 0.006) and hit(0.0254, 0.0056)
-    assert not hit(0.025, -0.006) and not hit(0.026, 0.006) and not hit(5.0, 0.006)
 
 
 def test_movie_steps_unite_their_frames() -> None:

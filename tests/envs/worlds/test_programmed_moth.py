@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
+from animarl_envs.locomotion import COAST, Locomotion
 from animarl_envs.species import SILKMOTH
 from animarl_envs.worlds.search.programmed_moth import MothProgramme, ProgrammedMoth
 from tools.packaged_data import moth_fit
@@ -29,29 +29,6 @@ def observation(
 
 def moth(programme: MothProgramme = QUIET) -> ProgrammedMoth:
     return ProgrammedMoth(1, np.random.default_rng(0), programme=programme)
-
-
-def test_without_any_contact_it_stands_still() -> None:
-    still = moth()
-    assert all(still.act(observation())[0, 0] == COAST for _ in range(50))
-
-
-@pytest.mark.parametrize(("body_angle", "action"), [(0.0, 0), (np.pi / 2, 9), (-np.pi / 2, 3)])
-def test_contact_starts_a_surge_ahead_of_the_body(body_angle: float, action: int) -> None:
-    """With wind blocked, "ahead" is the body's, wherever upwind is."""
-    assert moth().act(observation(odour=(1.0, 1.0), body_angle=body_angle))[0, 0] == action
-
-
-def test_surge_turns_towards_the_antenna_that_was_hit() -> None:
-    strong = replace(QUIET, odour_turn=np.pi / 6)
-    assert moth(strong).act(observation(odour=(1.0, 0.07)))[0, 0] == 11  # 30 deg to the left
-    assert moth(strong).act(observation(odour=(0.07, 1.0)))[0, 0] == 1
-
-
-def test_surge_turns_into_the_wind() -> None:
-    strong = replace(QUIET, wind_turn=np.pi / 6)
-    front, right, left = (moth(strong).act(observation(odour=(1, 1), wind=w)) for w in range(3))
-    assert (front[0, 0], right[0, 0], left[0, 0]) == (0, 1, 11)
 
 
 def test_zigzag_lengthens_and_ends_in_a_loop() -> None:
@@ -93,14 +70,6 @@ def test_full_senses_find_the_source_more_often(locomotion: Locomotion) -> None:
     assert (full.duration[~full.reached] == 300.0).all()
 
 
-def test_rates_repeat_with_the_seed() -> None:
-    first, again = (search_statistics(SILKMOTH, 0, episodes=16, seed=5) for _ in range(2))
-    np.testing.assert_array_equal(first.duration, again.duration)
-    assert not np.array_equal(
-        first.duration, search_statistics(SILKMOTH, 0, episodes=16, seed=6).duration
-    )
-
-
 def test_bad_programmes_are_refused() -> None:
     for change, says in (
         ({"surge": 0.0}, "surge is 0.0"), ({"turns": (1.0, -1.0)}, "turns are"),
@@ -108,37 +77,6 @@ def test_bad_programmes_are_refused() -> None:
         ({"pace_spread": np.inf}, "pace_spread"), ({"careful": 2.0}, "careful"),
     ):  # fmt: skip
         refuses(says, replace, QUIET, **change)
-
-
-def test_moths_differ_in_pace_and_each_keeps_its_own() -> None:
-    """The same surge over and over: half of the moths walk visibly faster than the other half."""
-    many = replace(QUIET, pace_spread=0.5)
-    moths = ProgrammedMoth(200, np.random.default_rng(1), programme=many)
-    seen = np.repeat(observation(odour=(1.0, 1.0)), 200, axis=0)
-    loco, speed = SILKMOTH.locomotion[0], np.zeros(200)
-    walked = []
-    for _ in range(60):
-        seen[:, 0, 0] = speed
-        action = moths.act(seen)[:, 0]
-        speed = (1 - loco.damping) * speed + loco.thrust * SILKMOTH.dt * ACTION_VECTORS[action, 0]
-        walked.append(speed)
-    early, late = np.mean(walked[10:35], axis=0), np.mean(walked[35:], axis=0)
-    assert np.quantile(early, 0.9) > 1.8 * np.quantile(early, 0.1)
-    assert np.corrcoef(early, late)[0, 1] > 0.95
-    assert np.median(early) == pytest.approx(many.surge_speed, rel=0.25)
-
-
-def test_moths_stop_and_go_on_as_often_as_they_are_told() -> None:
-    programme = replace(QUIET, pause_rate=0.2, pause=2.0)
-    moths = ProgrammedMoth(500, np.random.default_rng(2), programme=programme)
-    seen = np.repeat(observation(odour=(1.0, 1.0)), 500, axis=0)
-    # At rest, only a pause asks for no thrust.
-    standing = [moths.act(seen)[:, 0] == COAST for _ in range(100)]
-    share = programme.pause_rate * programme.pause / (1 + programme.pause_rate * programme.pause)
-    assert np.mean(standing[20:]) == pytest.approx(share, abs=0.02)
-
-
-# -- the fitted numbers ---------------------------------------------------------------------------
 
 
 def numbers(programme: MothProgramme) -> list[float]:

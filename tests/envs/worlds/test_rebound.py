@@ -10,8 +10,6 @@ from recordings import dogs
 from animarl_envs.arena import Arena
 from animarl_envs.locomotion import COAST
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import SPECIES
-from animarl_envs.species.options import with_options
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 FAR = [[-0.5, 0.0], [-0.5, 0.4]]
@@ -67,13 +65,3 @@ def test_who_is_replayed_keeps_to_the_recording_beyond_a_wall() -> None:
         made.step(np.zeros((len(demos), 3), dtype=int))
         assert np.array_equal(made.position, demos.positions[demos.offsets[:-1] + t])
         assert not made.terminated.any()
-
-
-def test_dishes_and_boxes_of_animals_have_walls_and_the_others_none() -> None:
-    assert {name: s.arena.rebound for name, s in SPECIES.items()} == {
-        "agent": False, "fly": True, "newt": True, "silkmoth": False, "solo": False, "shoal": True
-    }  # fmt: skip
-    assert make_scenario("custom", demos=dogs(1)).species.arena.rebound
-    fly = with_options(SPECIES["fly"], rebound=False)
-    assert (fly.arena.edge, SPECIES["fly"].arena.edge) == (1.1, 1.0)
-    assert not with_options(SPECIES["fly"], arena="open").arena.rebound

@@ -1,4 +1,4 @@
-"""The odour-search world: agreement with a plain NumPy reference, senses, ends, refusals."""
+"""The odour-search world: a plain NumPy reference, senses, ends, refusals, traits of animals."""
 
 import math
 from dataclasses import replace
@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from refusals import refuses
-from search_worlds import FLOW, ODOUR, STRAIGHT_UPWIND, WIND, random_actions, rollout, search_world
+from search_worlds import ODOUR, STRAIGHT_UPWIND, random_actions, rollout, search_world
 
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.species.silkmoth import RECORDED_TURNING
+from animarl_envs.species.traits import LARGEST, Floats, Traits, episode_traits, fit_traits
 from animarl_envs.species.turning import Turning
+from animarl_envs.worlds import demonstration_observations
 from animarl_envs.worlds.plume.plume import hit_table
 from animarl_envs.worlds.search.layout import ALIKE, PAPER
 from animarl_envs.worlds.search.world import SearchWorld, antennae_at
@@ -108,35 +112,6 @@ def test_smaller_observations_are_the_beginning_of_the_full_one(
     np.testing.assert_array_equal(full[..., :size], small)
 
 
-def test_no_component_of_the_full_observation_is_dead() -> None:
-    world = search_world(64, turning=RECORDED_TURNING)
-    seen = rollout(world, random_actions(120, 64))
-    assert (seen.std(axis=(0, 1)) > 1e-3).all()
-    low, high = (
-        np.array([getattr(c, edge) for c in world.observation_components], dtype=np.float32)
-        for edge in ("low", "high")
-    )
-    assert (seen >= low).all() and (seen <= high).all()
-
-
-def test_reaching_the_source_terminates_with_reward_one() -> None:
-    world = search_world(plume="off")
-    total = 0.0
-    while not world.terminated[0]:
-        world.step(np.array([[STRAIGHT_UPWIND]]))
-        total += world.reward[0, 0]
-        assert world.components[0, 0].sum() == world.reward[0, 0]
-        assert world.step_count[0] < 40
-    assert np.linalg.norm(world.position[0, 0]) < 0.05
-    assert total == 1.0 and world.outcome[0] == 1 and not world.truncated[0]
-
-
-def test_position_is_not_observed() -> None:
-    names = [c.name for c in search_world().observation_components]
-    assert len(names) == search_world().observation.shape[-1] == ALIKE
-    assert not any("position" in name or "distance" in name for name in names)
-
-
 def test_scene_details_say_where_the_antennae_are() -> None:
     world = search_world(2)
     rollout(world, np.zeros((3, 2), dtype=int))
@@ -169,13 +144,7 @@ def test_unknown_pattern_and_scripted_moth_are_refused() -> None:
     refuses("no scripted rule", SearchWorld, scenario, 1)
 
 
-# -- the senses -----------------------------------------------------------------------------------
-
-
 FRONT, RIGHT, LEFT, BACK = range(6, 10)
-
-
-# -- odour ----------------------------------------------------------------------------------------
 
 
 def test_plume_off_leaves_odour_at_baseline_for_ever() -> None:
@@ -202,36 +171,6 @@ def test_the_antenna_on_the_plume_s_side_fires_first(side: float) -> None:
     assert first[near] < first[far]
 
 
-# -- wind, vision, condition ----------------------------------------------------------------------
-
-
-def test_wind_sectors_are_disjoint_cover_all_and_name_the_side() -> None:
-    for degrees in np.arange(-180.0, 180.0, 7.5):
-        direction = np.deg2rad(degrees)  # of the walk from upwind, to the left
-        speed = 0.02 * np.array([[[-math.cos(direction), -math.sin(direction)]]])
-        world = search_world(plume="off")
-        state = world.get_state()
-        state["velocity"][:] = speed
-        world.set_state(state)
-        world.step(np.array([[COAST]]))
-        seen = world.observation[0, 0]
-        assert seen[WIND].sum() == 1.0
-        assert seen[2] == pytest.approx(direction, abs=1e-6) or abs(degrees) == 180.0
-        inner = (abs(degrees) - 45.0) % 90.0
-        if inner > 1.0:  # away from the borders between sectors
-            side = [FRONT, RIGHT, BACK, LEFT][round(degrees / 90.0) % 4]
-            assert seen[side] == 1.0
-
-
-def test_reduced_senses_lose_wind_and_vision_and_nothing_else() -> None:
-    actions = random_actions(100, 4)
-    full, reduced = (rollout(search_world(4, condition=c), actions) for c in (0, 1))
-    assert np.abs(full[..., FLOW]).max() > 0 and full[..., WIND].any()
-    assert (reduced[..., FLOW] == 0).all() and not reduced[..., WIND].any()
-    lost = np.r_[FLOW, WIND]
-    np.testing.assert_array_equal(np.delete(full, lost, -1), np.delete(reduced, lost, -1))
-
-
 def test_a_body_at_rest_keeps_its_heading() -> None:
     world = search_world(plume="off", rest_speed=0.01)
     rollout(world, np.full((6, 1), 9))  # to the left
@@ -239,3 +178,112 @@ def test_a_body_at_rest_keeps_its_heading() -> None:
     rollout(world, np.full((30, 1), COAST))
     assert np.linalg.norm(world.velocity) < 0.01
     assert world.body_angle[0] == pytest.approx(math.pi / 2)
+
+
+DT = 0.5
+TABLE = np.array([[[-1.0, 0.5]], [[1.0, -0.5]], [[2.0, 0.0]]])
+THREE = Traits(np.zeros((2, 1, 2)), np.ones((1, 2)), TABLE)
+
+
+def walks(speeds: Floats, steps: int = 80) -> tuple[Floats, np.ndarray]:
+    """One walk of each mean speed [arena unit / s]; speeds and courses vary from step to step."""
+    draw = np.random.default_rng(1)
+    paths = []
+    for mean in speeds:
+        speed = mean * draw.uniform(0.5, 1.5, steps)
+        course = np.cumsum(draw.normal(0.0, 0.3, steps))
+        step = DT * speed[:, None] * np.stack([np.cos(course), np.sin(course)], axis=1)
+        paths.append(np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)]))
+    return np.concatenate(paths)[:, None], np.full(len(speeds), steps + 1)
+
+
+def test_traits_of_a_circle_are_its_speed_and_its_turning() -> None:
+    angle = 0.2 * np.arange(51)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
+    both = np.concatenate([circle, 2.0 * circle])
+    (slow, wide), chord = episode_traits(both, np.array([51, 51]), DT)[:, 0], 2 * np.sin(0.1)
+    np.testing.assert_allclose(slow, [chord / DT, 0.2 / DT])
+    np.testing.assert_allclose(wide, [2 * chord / DT, 0.2 / DT])
+
+
+def test_animals_that_differ_are_found_and_equal_ones_are_not() -> None:
+    pytest.importorskip("scipy")
+    differing = np.random.default_rng(0).uniform(0.5, 1.5, 20)
+    none = np.zeros(20, dtype=int)
+    found = fit_traits(*walks(differing), DT, none)
+    assert found is not None
+    assert np.corrcoef(found.table[:, 0, 0], differing)[0, 1] > 0.98
+    assert found.table[:, 0, 0].std() == pytest.approx(1.0, abs=1e-6)
+    assert not found.table[:, 0, 1].any()  # all turn alike
+    assert fit_traits(*walks(np.ones(20)), DT, none) is None
+    assert fit_traits(*walks(differing[:7]), DT, none[:7]) is None  # so few cannot say
+
+
+def test_what_a_condition_does_is_no_trait() -> None:
+    pytest.importorskip("scipy")
+    condition = np.arange(20) % 2
+    assert fit_traits(*walks(1.0 + condition), DT, condition) is None
+    own = np.random.default_rng(0).uniform(0.5, 1.5, 20)
+    found = fit_traits(*walks(own + condition), DT, condition)
+    assert found is not None
+    for one in (0, 1):
+        assert found.table[condition == one, 0, 0].mean() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_simulated_searcher_keeps_the_traits_of_a_training_animal() -> None:
+    world = search_world(300, traits=THREE)
+    drawn = world.traits.copy()
+    seen = rollout(world, random_actions(20, 300))
+    assert [c.name for c in world.observation_components[-2:]] == ["own speed", "own turning"]
+    np.testing.assert_array_equal(seen[..., -2:], np.broadcast_to(drawn, (21, 300, 2)))
+    place = (drawn[:, None] == TABLE[:, 0]).all(axis=2)
+    assert (place.sum(axis=1) == 1).all()
+    assert (np.abs(place.mean(axis=0) - 1 / 3) < 0.1).all()  # each as often
+    again, state = search_world(300, traits=THREE), world.get_state()
+    np.testing.assert_array_equal(again.traits, drawn)
+    again.reset()
+    assert (again.traits != drawn).any()
+    again.set_state(state)
+    np.testing.assert_array_equal(again.traits, drawn)
+
+
+def test_recordings_are_told_their_own_traits_and_starts_from_them_others() -> None:
+    demos = load_packaged("silkmoth").select(split="train")
+    values = episode_traits(demos.positions, demos.lengths, demos.dt)
+    traits = Traits(np.stack([values.mean(0)] * 2), values.std(0), TABLE)
+    species = replace(SILKMOTH, traits=traits)
+    seen = demonstration_observations(species, demos)[:, 0, -2:]
+    own = np.clip((values - values.mean(0)) / values.std(0), -LARGEST, LARGEST)[:, 0]
+    np.testing.assert_allclose(seen, np.repeat(own, demos.lengths, axis=0), rtol=1e-5)
+    plain = demonstration_observations(SILKMOTH, demos)
+    assert plain.shape[-1] == demonstration_observations(species, demos).shape[-1] - 2
+    world = search_world(50, traits=traits, demos=demos)
+    assert (world.traits[:, None] == TABLE[:, 0]).all(axis=2).any(axis=1).all()
+
+
+def test_closed_loop_spread_comes_from_traits() -> None:
+    """Who pushes as its trait says differs from the others for the whole episode."""
+    speeds = []
+    for traits in (THREE, Traits(THREE.centre, THREE.scale, np.zeros((3, 1, 2)))):
+        world, draw = search_world(200, traits=traits), np.random.default_rng(0)
+        paths = [world.position[:, 0].copy()]
+        for _ in range(60):
+            eager = draw.random(200) < 0.5 + 0.2 * world.observation[:, 0, -2]
+            world.step(np.where(eager, draw.integers(12, size=200), 12)[:, None])
+            paths.append(world.position[:, 0].copy())
+        moved = np.linalg.norm(np.diff(paths, axis=0), axis=-1)
+        speeds.append(moved.mean(axis=0).std())
+    assert speeds[0] > 2 * speeds[1]
+
+
+def test_own_recordings_get_traits_and_synthetic_ones_do_not() -> None:
+    pytest.importorskip("scipy")
+    demos = load_packaged("silkmoth")  # its five plumes make programmed moths differ
+    assert species_of(demos).traits is None
+    heading = np.zeros(len(demos.positions))
+    own = {**demos.provenance, "synthetic": False}
+    recorded = replace(demos, signals={**demos.signals, "heading": heading}, provenance=own)
+    found = species_of(recorded).traits
+    assert found is not None and len(found.table) == (demos.split == "train").sum()
+    assert species_of(recorded).observation == "full"
+    refuses("traits is 3: give Traits or None", replace, SILKMOTH, traits=3)

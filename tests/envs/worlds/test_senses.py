@@ -124,15 +124,6 @@ def test_documented_ranges_hold_and_are_reached(name: str, options: Any, kind: s
             assert high - low >= 0.5 * (component.high - component.low), component
 
 
-@chases
-def test_random_walks_stay_within_the_ranges(name: str, options: Any) -> None:
-    world = make_world(make_scenario(name, **options), 50)
-    seen = walk(world, 60, seed=1)
-    low, high = (np.array([getattr(c, k) for c in world.observation_components], np.float32)
-                 for k in ("low", "high"))  # fmt: skip
-    assert (seen >= low).all() and (seen <= high).all()
-
-
 @pytest.mark.parametrize("kind", ["compact", "full", "paper"])
 @chases
 def test_a_mirrored_world_is_seen_mirrored(name: str, options: Any, kind: str) -> None:

@@ -42,9 +42,6 @@ def test_misshapen_paths_are_refused(x: tuple[int, ...], y: tuple[int, ...]) -> 
     refuses("shapes", dtw_distance, np.zeros(x), np.zeros(y))
 
 
-# -- how many pairs of frames a warping path aligns ------------------------------------------------
-
-
 def traced(x: np.ndarray, y: np.ndarray) -> tuple[float, int]:
     """The whole table of distances, then back from its end along the smallest predecessors."""
     cost = np.linalg.norm(x[:, None] - y[None], axis=-1)
@@ -70,9 +67,7 @@ def test_alignment_equals_a_path_traced_back() -> None:
         assert (distance, pairs) == pytest.approx(traced(x, y))
         assert distance == dtw_distance(x, y)
         assert max(len(x), len(y)) <= pairs < len(x) + len(y)
-
-
-def test_equal_paths_align_frame_by_frame_and_one_frame_with_all() -> None:
+    # Equal paths frame by frame, and one frame with all.
     path = np.random.default_rng(1).normal(size=(9, 2))
     assert dtw_alignment(path, path) == (0.0, 9)
     still = np.zeros((9, 2))
@@ -80,8 +75,6 @@ def test_equal_paths_align_frame_by_frame_and_one_frame_with_all() -> None:
     assert dtw_alignment(path[:1], path)[1] == 9
     refuses("frames, 2", dtw_alignment, path, path[:, :1])
 
-
-# -- the tracker, told of episodes by a world that is made up --------------------------------------
 
 COPIES, FOLLOWED = 5, (0, 2)
 
