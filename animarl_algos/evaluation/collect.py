@@ -183,7 +183,9 @@ def _run_batch(
         if flag is not None:
             column = np.repeat(flag, num)[:, None].astype(observation.dtype)
             observation = np.concatenate([observation, column], axis=1)
-        actions, state = policy.predict(observation, state=state, episode_start=starts)
+        actions, state = policy.predict(
+            observation, state=state, episode_start=starts, deterministic=False
+        )
         asked = np.asarray(actions).reshape(copies, num)
         executed = world.executed(asked)
         state = remembered(policy, state, asked, executed)

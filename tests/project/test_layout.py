@@ -73,7 +73,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 1_824,
     "animarl_algos.cli": 2_537,
     "animarl_algos.data": 1_061,
-    "animarl_algos.evaluation": 4_897,
+    "animarl_algos.evaluation": 4_899,
     "animarl_algos.learner": 3_050,
     "animarl_algos.losses": 593,
     "animarl_algos.networks": 1_722,
