@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from refusals import refuses
-from search_worlds import recorded, search_world
+from search_worlds import WIND, recorded, search_world
 
 import animarl_envs  # noqa: F401  (registers the ids)
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -18,7 +18,7 @@ from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH
 from animarl_envs.species.silkmoth import RECORDED_TURNING
-from animarl_envs.worlds.search.layout import Seen
+from animarl_envs.worlds.search.layout import ALIKE, Seen
 from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
 from tools.packaged_data.moth_comparison import comparison, rates
 from tools.packaged_data.moth_published import PUBLISHED
@@ -232,3 +232,14 @@ def test_recorded_actions_repeat_packaged_searches_in_their_plumes() -> None:
         np.testing.assert_allclose(world.observation[running], seen[frame], atol=1e-6)
         ended = (world.terminated | world.truncated)[running]
         assert np.array_equal(ended, steps[running] == t + 1)
+
+
+def test_offline_observations_follow_the_recorded_condition() -> None:
+    demos = recorded()
+    seen = demonstration_observations(SILKMOTH, demos)
+    assert seen.shape == (240, 1, ALIKE) and seen.dtype == np.float32
+    reduced = np.repeat(demos.condition == 1, 40)
+    assert not seen[reduced][..., Seen.FLOW : Seen.WIND_BACK + 1].any()
+    assert (seen[~reduced][..., WIND].sum(axis=-1) == 1.0).all()
+    hit = demos.signals["odour_left"]
+    assert (seen[hit, 0, 3] == 1.0).all() and (seen[~hit, 0, 3] < 1.0).all()

@@ -192,3 +192,38 @@ def test_a_model_of_other_magnitudes_is_refused() -> None:
     refuse_other_actions(37, 37)
     actions, _ = RandomPolicy(0, 37).predict(np.zeros((5000, 4)))
     assert set(actions.tolist()) == set(range(37))
+
+
+def test_thrusts_move_as_the_same_magnitudes_do() -> None:
+    every = {name: {"magnitudes": MULTIPLES} for name in FLY.individuals}
+    given: list[dict[str, Any]] = [{"thrusts": 3}, {"locomotion": every}]
+    worlds = [make_world(make_scenario("fly", demos=None, **options), 20) for options in given]
+    rng = np.random.default_rng(0)
+    for world in worlds:
+        world.seed(np.arange(20))
+        world.reset()
+    for _ in range(20):
+        actions = rng.integers(37, size=(20, 3))
+        for world in worlds:
+            world.step(actions)
+        np.testing.assert_array_equal(worlds[0].position, worlds[1].position)
+        np.testing.assert_array_equal(worlds[0].observation, worlds[1].observation)
+
+
+def test_the_searcher_and_numpy_move_alike() -> None:
+    species = three(SILKMOTH)
+    world = make_world(make_scenario(species, demos=None), 37)
+    world.reset()
+    upwind = np.tile([-1.0, 0.0], (37, 1))
+    for _ in range(3):
+        actions = np.arange(37)
+        expected = apply_actions(
+            world.velocity[:, 0], actions, upwind, species.locomotion[0], species.dt
+        )
+        world.step(actions[:, None])
+        np.testing.assert_allclose(world.velocity[:, 0], expected, rtol=1e-12, atol=1e-15)
+
+
+def test_random_policies_use_all_actions() -> None:
+    actions, _ = RandomPolicy(0, 37).predict(np.zeros((5000, 4)))
+    assert set(actions.tolist()) == set(range(37))

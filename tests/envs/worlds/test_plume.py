@@ -17,7 +17,7 @@ import animarl_envs  # noqa: F401  registers the environments
 from animarl_envs.drawing.render import write_clip
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table
+from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
 from tools.packaged_data.plume_fit import compare
 
 SMALL = replace(FilamentModel.fitted(), period=6.0)
@@ -229,3 +229,22 @@ def test_fitted_model_agrees_with_recorded_plumes(data_dir: Path) -> None:
         assert modelled == pytest.approx(recorded, rel=0.4)
     blank = {who: np.median(lengths) for who, lengths in seen["blank lengths"].items()}
     assert blank["model"] == pytest.approx(blank["recorded"], abs=4)  # one puff a second
+
+
+def test_patterns_are_fixed_different_and_repeat() -> None:
+    assert np.array_equal(SMALL.release(2), SMALL.release(2))
+    assert not np.array_equal(SMALL.release(2), SMALL.release(3))
+    again = SMALL.concentration(0, 1.2 + SMALL.period)
+    np.testing.assert_allclose(again, SMALL.concentration(0, 1.2), atol=1e-5)
+
+
+def test_is_hit_looks_up_the_nearest_cell() -> None:
+    frames = np.zeros((1, 21, 40), dtype=bool)
+    frames[0, 4, 25] = True  # 6 rows above the source, 25 columns downwind
+    table = Plume.from_array(frames, **MOVIE).pattern_table(0, 0.5, 0.0)
+
+    def hit(x: float, y: float) -> bool:
+        return bool(is_hit(table, 0, 0, x, y))
+
+    assert hit(0.025, 0.006) and hit(0.0254, 0.0056)
+    assert not hit(0.025, -0.006) and not hit(0.026, 0.006) and not hit(5.0, 0.006)
