@@ -29,7 +29,8 @@ from animarl_algos.evaluation.acting_choice import (
 from animarl_algos.evaluation.collect import Policy, RandomPolicy
 from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER, PLACE
 from animarl_algos.evaluation.prepared import Prepared
-from animarl_algos.evaluation.realism import ENDING
+from animarl_algos.evaluation.realism import ENDING, Likelihood
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.thrust_choice import (
     choose_thrusts,
     tracking_floor,
@@ -283,3 +284,17 @@ def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
 def farthest(demos: Demonstrations, locomotion: tuple[Locomotion, ...], arena: Arena) -> float:
     """From the centre of the dish [arena unit]."""
     return float(np.linalg.norm(track(demos, locomotion, arena).positions, axis=2).max())
+
+
+def test_recordings_are_less_likely_if_all_stand_still_or_die_at_once() -> None:
+    demos = load_packaged("agent").select(split="val")
+    realism = Likelihood.of(Prepared(demos))
+    recorded = Rollouts.from_demonstrations(demos)
+    first = np.repeat(recorded.offsets[:-1], recorded.lengths)
+    still = replace(recorded, positions=recorded.positions[first])
+    index = np.concatenate([[start, start + 1] for start in recorded.offsets[:-1]])
+    dead = replace(recorded, positions=recorded.positions[index], lengths=np.full(len(recorded), 2))
+    itself, still_, dead_ = (realism.total(realism.components(r)) for r in (recorded, still, dead))
+    others = realism.total(realism.of_others(8, np.random.default_rng(0)))
+    for worse in (still_, dead_, others):
+        assert errors_above(itself - worse, demos.recording) > MARGIN

@@ -12,7 +12,7 @@ from refusals import refuses
 
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import METRICS, judged_metrics, measures
-from animarl_algos.evaluation.order_in_time import KINEMATIC
+from animarl_algos.evaluation.order_in_time import KINEMATIC, MEASURES
 from animarl_algos.evaluation.prepared import (
     Prepared,
     censored,
@@ -35,6 +35,7 @@ from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentenc
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 from benchmarks.verdict_power import whole_verdict
@@ -407,3 +408,20 @@ def test_recordings_without_rollouts_are_left_out() -> None:
     values = np.array([1.0, 1e9, 1.0, 1.0, 1.0, 2.0])
     assert exchange_test(values[:, None], exchanges).recorded[0] == 1.0
     refuses("recordings 0 to 2", Exchanges.draw, [3], 3, rng)
+
+
+def test_circles_are_said_in_words() -> None:
+    assert MEASURES["turn autocorrelation at"].words(more=True) == "walks in circles"
+    assert MEASURES["turning"].words(more=True) == "turns too much"
+    own = replace(MEASURES["spread of speed"], name="spread of speed, larva")
+    assert own.words(more=False) == "spread of speed, larva too low"
+
+
+def test_lengths_are_told_in_the_recordings_unit_where_it_is_known() -> None:
+    demos = recorded_pairs()
+    assert unit_of(demos).name == "arena units"
+    scales = {name: {"centre": [0, 0], "unit": 72.5, "y_sign": 1} for name in demos.recording}
+    in_mm = replace(demos, provenance={**demos.provenance, "unit": "mm", "scales": scales})
+    assert (unit_of(in_mm).name, unit_of(in_mm).per_arena_unit) == ("mm", 72.5)
+    in_px = replace(in_mm, provenance={**in_mm.provenance, "unit": "px"})
+    assert unit_of(in_px).name == "arena units"

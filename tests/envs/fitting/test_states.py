@@ -21,7 +21,7 @@ from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.demos.summary import persistence
-from animarl_envs.fitting import fit_joint, transitions
+from animarl_envs.fitting import fit_joint, fit_locomotion, transitions
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.states import compare_states
 from animarl_envs.locomotion import Locomotion
@@ -193,3 +193,10 @@ def test_an_import_of_jumping_tracks_hints_at_smoothing(tmp_path: Path) -> None:
         told = {**demos.provenance, "synthetic": False, "cleaning": {"r": done}}
         found = hints(replace(demos, provenance=told))
         assert any("--smoothing 2" in hint for hint in found) == advised
+
+
+def test_the_fit_of_all_individuals_says_the_noise() -> None:
+    demos, noise = noisy(0.2, 0.1, episodes=12)
+    fit = fit_locomotion(demos, "noise", split=None)
+    assert fit.method == "noise"
+    assert [one.tracking_noise for one in fit.individuals] == pytest.approx([noise] * 3, rel=0.2)
