@@ -17,6 +17,7 @@ import rl_zoo3
 import rl_zoo3.exp_manager
 import rl_zoo3.utils
 import yaml
+from behaviours import Behaviour, PartlyRandom, Same
 from commands import Done, refused, succeeded
 from gymnasium.envs.classic_control import CartPoleEnv
 from small_runs import few
@@ -31,6 +32,7 @@ from animarl_algos.zoo.__main__ import main, register
 from animarl_algos.zoo.manager import sample_settings, slot_environment, validation_environment
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.locomotion import COAST
 
 AGENT = "AnimaRL/Agent-v0"
 CARTPOLE = ["--env", "CartPole-v1", "-n", "16", "--eval-episodes", "1"]
@@ -375,3 +377,38 @@ def test_training_that_diverged_leaves_its_settings_to_look_at(
     done = zoo(*moths, *rates)
     assert done.returncode == 2 and "offline training diverged" in done.stderr
     assert list(tmp_path.glob("logs/bc/*/*/config.yml"))
+
+
+def test_the_same_seed_gives_the_same_scores(
+    zoo: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    scores = []
+    for number in (1, 2):
+        succeeded(zoo("train", "--algo", "dqn", *tiny(small)))
+        file = tmp_path / "logs" / "dqn" / f"{NAME}_{number}" / "evaluations.npz"
+        with np.load(file) as evaluations:
+            scores.append(evaluations["results"])
+    np.testing.assert_array_equal(*scores)
+
+
+@pytest.mark.parametrize("species", SPECIES)
+def test_whoever_follows_the_recordings_scores_above_whoever_does_not(species: str) -> None:
+    """Else the best model of rl_zoo3 would be one that ends its episodes at once."""
+    follows, *others = (
+        mean_score(species, behaviour) for behaviour in (PartlyRandom(0.1), Same(0), Same(COAST))
+    )
+    assert follows > max(others)
+
+
+def mean_score(species: str, behaviour: Behaviour) -> float:
+    """Of the first episode of each of 16 copies and of all individuals, as rl_zoo3 averages."""
+    scored = validation_environment(environment_id(species), 16)
+    world, rng = scored.unwrapped.world, np.random.default_rng(0)  # type: ignore[attr-defined]
+    scored.seed(0)
+    scored.reset()
+    returns: dict[int, float] = {}
+    while len(returns) < scored.num_envs:
+        _, _, done, infos = scored.step(behaviour(world, rng).ravel())
+        for slot in np.flatnonzero(done).tolist():
+            returns.setdefault(slot, infos[slot]["episode"]["r"])
+    return float(np.mean(list(returns.values())))

@@ -13,7 +13,7 @@ from refusals import refuses
 from thrust_walks import DT, ROLES, TRUTH, walk
 
 from animarl_algos.cli.fit import parse_numbers
-from animarl_algos.evaluation.thrust_choice import GAIN, tracking_floor
+from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting import (
@@ -193,3 +193,9 @@ def test_recorded_moths_are_followed_more_closely_with_three(data_dir: Path) -> 
     one, many = (track(demos, joint_locomotion(demos, m)) for m in (1, 3))
     assert (tracking_errors(demos, many) < 0.7 * tracking_errors(demos, one)).all()
     assert (speed_distances(demos, many) < 0.5 * speed_distances(demos, one)).all()
+
+
+@pytest.mark.parametrize("truth", [tuple(Locomotion(0.25, u) for u in (2.4, 2.4, 3.0)), TRUTH])
+def test_as_many_magnitudes_are_chosen_as_there_are(truth: tuple[Locomotion, ...]) -> None:
+    demos, _ = walk(truth, 7)
+    assert choose_thrusts(demos)[0] == truth[0].thrusts

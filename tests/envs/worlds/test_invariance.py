@@ -252,3 +252,27 @@ def test_invariance_a_mirrored_moth_walks_the_mirrored_path(
         around = np.isclose(np.abs(seen[2]), math.pi, atol=1e-5)  # straight downwind has no side
         assert other == pytest.approx(seen[swap] * sign, abs=1e-5) or around
         assert end == ends
+
+
+@often
+@given(seeds, st.sampled_from(list(SPECIES)), st.integers(1, 60), st.sampled_from([0, 1]))
+def test_invariance_the_limit_truncates_and_components_sum(
+    seed: int, name: str, limit: int, condition: int
+) -> None:
+    condition = condition if SPECIES[name].conditions else 0
+    options: dict[str, Any] = {"warmup": 0, "time_limit": limit, "condition": condition}
+    copies = 32
+    world = make_world(make_scenario(name, demos=None, **options), copies)
+    world.seed(np.arange(copies) + seed % 1000)
+    world.reset()
+    rng = np.random.default_rng(seed)
+    running = np.ones(copies, dtype=bool)
+    for t in range(1, limit + 1):
+        world.step(rng.integers(ACTIONS, size=(copies, world.num_individuals)))
+        assert not (world.terminated & world.truncated).any()
+        assert np.array_equal(world.components.sum(axis=2), world.reward)
+        assert np.array_equal(world.truncated[running], (t == limit) & ~world.terminated[running])
+        assert (world.outcome[world.truncated] == TIME_OUT).all()
+        assert ((world.outcome != TIME_OUT) == world.terminated).all()
+        running &= ~world.terminated
+    assert (world.terminated | world.truncated)[running].all()

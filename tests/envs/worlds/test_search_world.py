@@ -287,3 +287,14 @@ def test_own_recordings_get_traits_and_synthetic_ones_do_not() -> None:
     assert found is not None and len(found.table) == (demos.split == "train").sum()
     assert species_of(recorded).observation == "full"
     refuses("traits is 3: give Traits or None", replace, SILKMOTH, traits=3)
+
+
+def test_no_component_of_the_full_observation_is_dead() -> None:
+    world = search_world(64, turning=RECORDED_TURNING)
+    seen = rollout(world, random_actions(120, 64))
+    assert (seen.std(axis=(0, 1)) > 1e-3).all()
+    low, high = (
+        np.array([getattr(c, edge) for c in world.observation_components], dtype=np.float32)
+        for edge in ("low", "high")
+    )
+    assert (seen >= low).all() and (seen <= high).all()

@@ -320,3 +320,12 @@ def test_what_is_made_by_a_name_observes_compactly_and_a_spec_as_it_says(name: s
 def test_an_unknown_observation_is_refused() -> None:
     told = "observation is 'rich': choose one of 'compact', 'full', 'paper'"
     refuses(told, make_scenario, "fly", observation="rich")
+
+
+@chases
+def test_random_walks_stay_within_the_ranges(name: str, options: Any) -> None:
+    world = make_world(make_scenario(name, **options), 50)
+    seen = walk(world, 60, seed=1)
+    low, high = (np.array([getattr(c, k) for c in world.observation_components], np.float32)
+                 for k in ("low", "high"))  # fmt: skip
+    assert (seen >= low).all() and (seen <= high).all()
