@@ -216,9 +216,8 @@ def of_benchmarl(task: str, name: str, seed: int, steps: int) -> Act:
     algorithm: Any = kinds[name].get_from_yaml()
     on_policy = name != "QMIX"
     if on_policy:
-        algorithm.lmbda = (
-            0.95  # advantages are not scaled, so a bonus for entropy would outweigh them
-        )
+        # No bonus for entropy: advantages are not scaled, so it would outweigh them.
+        algorithm.lmbda = 0.95
     config = ExperimentConfig.get_from_yaml()
     changed = {
         "gamma": GAMMA, "lr": 1e-3 if on_policy else 5e-4, "max_n_frames": steps,

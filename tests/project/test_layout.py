@@ -87,7 +87,7 @@ BUDGETS = {
     "animarl_envs.demos": 1_276,
     "animarl_envs.drawing": 983,
     "animarl_envs.fitting": 2_345,
-    "animarl_envs.importing": 5_151,
+    "animarl_envs.importing": 5_161,
     "animarl_envs.species": 1_213,
     "animarl_envs.views": 917,
     "animarl_envs.worlds": 4_144,

@@ -295,8 +295,18 @@ class _StandIn:
         self.state = state
 
 
-_KINDS: list[Any] = [type(name, (_StandIn,), {}) for name in ("_Dtype", "_Array", "_Scalar")]
-_Dtype, _Array, _Scalar = _KINDS
+class _Dtype(_StandIn):
+    pass
+
+
+class _Array(_StandIn):
+    pass
+
+
+class _Scalar(_StandIn):
+    pass
+
+
 KNOWN = {"ndarray": object(), "dtype": _Dtype, "_reconstruct": _Array, "scalar": _Scalar}
 
 
