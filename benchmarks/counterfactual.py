@@ -217,8 +217,6 @@ def main(
         (part / "README.md").write_text(text)
         for name in KEPT:
             shutil.copyfile(page / name, part / name)
-        for number, figure in enumerate(sorted((page / "figures").glob("shifts-*.png")), start=1):
-            shutil.copyfile(figure, part / f"shifts-{number}.png")
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
