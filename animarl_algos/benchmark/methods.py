@@ -38,13 +38,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.evaluation import collect
 from animarl_algos.evaluation.classifier import followed
-from animarl_algos.evaluation.collect import (
-    MemorylessPolicy,
-    Policy,
-    RandomPolicy,
-    collect_rollouts,
-)
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.run import Run
@@ -236,7 +231,7 @@ def reference_rollouts(
         return expert_rollouts(demos, species, seed, repetitions)
     if method == "scripted" and not isinstance(species, SearchSpecies):
         scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
-    return collect_rollouts(
+    return collect.collect_rollouts(
         partial(make_world, scenario),
         _policy(method, scenario, seed, demos),
         method=method,
@@ -246,16 +241,16 @@ def reference_rollouts(
     )
 
 
-def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> Policy:
+def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> collect.Policy:
     species = scenario.species
     if name == "nearest":
         return NearestSegment(species, learnable(demos), seed)
     if name == "random":
-        return RandomPolicy(seed, species.num_actions)
+        return collect.RandomPolicy(seed, species.num_actions)
     if name == "scripted":
         if isinstance(species, SearchSpecies):
             return ProgrammedPolicy(species, seed)
-        return RandomPolicy(seed, species.num_actions)  # the world's script decides
+        return collect.RandomPolicy(seed, species.num_actions)  # the world's script decides
     return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
 
 
@@ -310,7 +305,7 @@ def beside_fold(demos: Demonstrations) -> Demonstrations:
     return demos.select(split="val")
 
 
-class Steering(MemorylessPolicy):
+class Steering(collect.MemorylessPolicy):
     """The action after which the velocity is nearest to ``keep`` times what it is.
 
     1 holds the velocity, 0 stops. The scenario's observations hold each individual's own velocity.

@@ -33,17 +33,7 @@ import torch
 from filelock import FileLock, Timeout
 from threadpoolctl import threadpool_limits
 
-from animarl_algos.benchmark.methods import (
-    TERMINATED,
-    CheckedPolicy,
-    MethodSetting,
-    foreign,
-    load_factory,
-    one_line,
-    parameters_of,
-    reference_rollouts,
-    source_of,
-)
+from animarl_algos.benchmark import methods
 from animarl_algos.benchmark.scores import Score, crossed_score, score
 from animarl_algos.evaluation.collect import Cue, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -247,7 +237,7 @@ class Cell(InWorld):
     def key(self) -> str:
         own: dict[str, Any] = {
             "method": self.method, "seed": self.seed, "repetitions": self.repetitions,
-            "world": self.world, "factory": self.factory and source_of(self.factory),
+            "world": self.world, "factory": self.factory and methods.source_of(self.factory),
         }  # fmt: skip
         return _hashed(own | (_resolved(self.settings) if self.settings else {}))
 
@@ -284,14 +274,17 @@ class Cell(InWorld):
             told, scenario = policy.layout.condition_flag, run.scenario
             parameters = policy.policy.q_net.num_parameters
         elif self.factory is not None:
-            setting, factory = MethodSetting.of(world, self.seed), load_factory(self.factory)
-            with foreign(f"method {self.method}: its factory raised", "fix it"):
+            setting, factory = (
+                methods.MethodSetting.of(world, self.seed),
+                methods.load_factory(self.factory),
+            )
+            with methods.foreign(f"method {self.method}: its factory raised", "fix it"):
                 made = factory(setting)
-            policy = CheckedPolicy(self.method, made, setting.species.num_actions)
+            policy = methods.CheckedPolicy(self.method, made, setting.species.num_actions)
             told, scenario = bool(setting.environment().condition_flag), world.scenario
-            parameters = parameters_of(made)
+            parameters = methods.parameters_of(made)
         else:
-            return reference_rollouts(world, **shared, fold=self.fold is not None), None
+            return methods.reference_rollouts(world, **shared, fold=self.fold is not None), None
         worlds = partial(make_world, scenario)
         cue: Cue | None = "actual" if told else None
         return collect_rollouts(worlds, policy, **shared, cue=cue), parameters
@@ -427,7 +420,7 @@ def _locked_attempt(piece: Piece, out: Path, folder: Path) -> Done:
             piece.perform(out)
     except Exception as error:  # a failing cell is one line of the results, whatever failed
         kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-        said = one_line(f"{kind}{error}")
+        said = methods.one_line(f"{kind}{error}")
         piece.record_error(out, said, traceback.format_exc())
     else:
         if warned:
@@ -537,7 +530,7 @@ def perform_all(pieces: Iterable[Piece], out: Path, workers: Workers, watch: Wat
 
 def _end_politely() -> None:
     """A worker that is told to end leaves no half-written file behind, and none outlives us."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(methods.TERMINATED))
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -25,26 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
+from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
 from animarl_algos.evaluation.prepared import Prepared, censored, comparison_smoothing
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    FEW_ROLLOUTS,
-    RESAMPLES,
-    Draws,
-    Interval,
-    bootstrap_difference,
-    bootstrap_mean,
-    cells,
-    covers,
-    energy_cells,
-    interval,
-    pooled_score,
-    row_of,
-    single_cells,
-)
+from animarl_algos.evaluation.statistics import FEW_ROLLOUTS, RESAMPLES, Draws, Interval, covers
 from animarl_algos.evaluation.verdict import summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
 from animarl_envs.checks import printable
@@ -177,10 +164,10 @@ def _score(
     def put(
         key: str, value: Interval, null: float, inside: bool, unit: str = "", p: float = math.nan
     ) -> None:
-        rows[key] = row_of(value, measure=key, unit=unit, null=null, p=p, inside=inside)
+        rows[key] = statistics.row_of(value, measure=key, unit=unit, null=null, p=p, inside=inside)
 
     for _, row in found.table.iterrows():
-        value, same = interval(row), bool(row["judgement"] == SAME)
+        value, same = statistics.interval(row), bool(row["judgement"] == SAME)
         # Over all folds each recording stands on one side itself and on the other as another's: a
         # classifier would learn to call it by the side on which it met it.
         if row["measure"] in found.areas and others is None and rollouts.method == RECORDINGS:
@@ -191,14 +178,14 @@ def _score(
     drawn, true = (
         summary_table(prepared, side) for side in (prepared.filtered(counted), prepared.recorded)
     )
-    energies = energy_cells(drawn, counted.seed, counted.demo, true)
-    energy, pooled = Interval(math.nan, reason=FEW_ROLLOUTS), pooled_score(true)
+    energies = statistics.energy_cells(drawn, counted.seed, counted.demo, true)
+    energy, pooled = Interval(math.nan, reason=FEW_ROLLOUTS), statistics.pooled_score(true)
     if energies.counts.any():
-        energy = bootstrap_mean(energies, draws)
+        energy = statistics.bootstrap_mean(energies, draws)
     put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
     own, other = (DTW_PER_STEP.measure(prepared.episodes(side)) for side in (counted, beside))
-    data, null = cells(own, counted.seed, counted.demo, len(test)), float(other.mean())
-    dtw = bootstrap_mean(data, draws)
+    data, null = statistics.cells(own, counted.seed, counted.demo, len(test)), float(other.mean())
+    dtw = statistics.bootstrap_mean(data, draws)
     put(DTW_PER_STEP.key, dtw, null, dtw.estimate <= null, DTW_PER_STEP.unit)
     return Score(
         method=rollouts.method,
@@ -215,7 +202,7 @@ def _score(
 def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
     """Return the places that intervals allow a method of one set, such as 2-4, where it has any."""
     energies = {
-        one.method: single_cells(one.energies)
+        one.method: statistics.single_cells(one.energies)
         for one in scores
         if one.method not in UNRANKED and np.isfinite(one.energies).any()
     }
@@ -223,7 +210,7 @@ def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
     names = list(energies)
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
-            gap = bootstrap_difference(
+            gap = statistics.bootstrap_difference(
                 energies[first], energies[second], np.random.default_rng(SEED), resamples
             )
             if gap.excludes_zero and abs(gap.estimate) > ROUNDING:

@@ -24,24 +24,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.order_in_time import (
-    angle,
-    distance_to_edge,
-    lags_for,
-    median_steps,
-    nearest_other,
-    order_measures,
-)
+from animarl_algos.evaluation import order_in_time, statistics
 from animarl_algos.evaluation.prepared import WINDOW, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
-    Floats,
-    Interval,
-    Ints,
-    percentile_interval,
-    row_of,
-)
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, Row
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -161,7 +147,7 @@ def window_features(
 
 def window_steps(recorded: Rollouts) -> int:
     """Return the steps of a long window: a quarter of an episode, 2 to 20 s."""
-    steps = QUARTER * median_steps(recorded)
+    steps = QUARTER * order_in_time.median_steps(recorded)
     low, high = (round(limit / recorded.dt) for limit in (SHORTEST, LONGEST))
     return int(np.clip(round(steps), max(4, low), max(4, high)))
 
@@ -178,7 +164,9 @@ def sequence_windows(
     parts = {name: getattr(rollouts, name)[episode] for name in rollouts.EACH if name != "lengths"}
     positions = rollouts.positions[np.concatenate(frames)]
     pieces = replace(rollouts, positions=positions, lengths=count + 1, **parts)
-    measured = order_measures(pieces, lags_for(steps, rollouts.dt), rest, arena)
+    measured = order_in_time.order_measures(
+        pieces, order_in_time.lags_for(steps, rollouts.dt), rest, arena
+    )
     return Windows(measured.values, group[pieces.demo], np.array(measured.kinds))
 
 
@@ -205,7 +193,7 @@ def _series(
     steps, num, dt = paths.shape[1] - 1, paths.shape[2], rollouts.dt
     series: list[tuple[str, Floats]] = []
     if rollouts.is_group:
-        nearest, centre = nearest_other(paths), paths.mean(axis=2, keepdims=True)
+        nearest, centre = order_in_time.nearest_other(paths), paths.mean(axis=2, keepdims=True)
         each, near, arm = (
             one.swapaxes(1, 2).reshape(-1, steps + 1, 1, 2)
             for one in (paths, nearest, centre - paths)
@@ -229,7 +217,7 @@ def _series(
         for stride in sorted({1, quarter}):
             turned = _moved(own, stride, still[k])
             series.append((TURNING, _unsigned(turned[:, :-stride], turned[:, stride:])))
-        series.append((PLACE, distance_to_edge(own, arena)))
+        series.append((PLACE, order_in_time.distance_to_edge(own, arena)))
         if num == 1 and rollouts.has_goal:
             series.append((BEARING, _unsigned(moved, -own[:, :-1])))
         for other in range(num):
@@ -251,7 +239,7 @@ def _moved(points: Floats, stride: int, still: float) -> Floats:
 def _unsigned(first: Floats, second: Floats) -> Floats:
     """Unsigned angle between vectors [rad]; NaN where one is zero."""
     shorter = np.minimum(np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1))
-    return np.where(shorter <= 0, np.nan, np.abs(angle(first, second)))
+    return np.where(shorter <= 0, np.nan, np.abs(order_in_time.angle(first, second)))
 
 
 def _summary(series: Floats) -> Floats:
@@ -359,7 +347,9 @@ def tell_apart(
                 return Telling(Interval(math.nan, reason=reason))
             with np.errstate(invalid="ignore", divide="ignore"):
                 above, all_met = (np.einsum("rg,rg->r", drawn @ s, drawn) for s in (wins, pairs))
-                auc = percentile_interval(float(wins.sum() / pairs.sum()), above / all_met)
+                auc = statistics.percentile_interval(
+                    float(wins.sum() / pairs.sum()), above / all_met
+                )
             auc = widen_for_folds(auc, folds)
             low, high = NEAR_CHANCE
             if until_clear and deal + 1 >= DEALS and not low <= _errors_above_chance(auc) <= high:
@@ -508,7 +498,7 @@ def _judged(key: str, label: str, found: Telling, areas: Mapping[str, Interval])
     elif _errors_above_chance(auc) > MOST_ERRORS:
         judgement, words = DIFFERS, f"distinguished, most of all by {by}"
     row = Row(
-        **row_of(auc, measure=key, label=label, judgement=judgement, verdict=words),
+        **statistics.row_of(auc, measure=key, label=label, judgement=judgement, verdict=words),
         recorded=among.estimate, simulated=auc.estimate, null=among.high,
     )  # fmt: skip
     return Judged(row, areas, importance)

@@ -22,22 +22,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.comparison import COUNTING
 from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
-from animarl_algos.evaluation.statistics import (
-    CONFIDENCE,
-    RESAMPLES,
-    Cells,
-    Draws,
-    Interval,
-    bootstrap_difference,
-    bootstrap_mean,
-    cells,
-    row_of,
-    single_cells,
-)
+from animarl_algos.evaluation.statistics import CONFIDENCE, RESAMPLES, Cells, Draws, Interval
 from animarl_envs.demos.demonstrations import Demonstrations
 
 if TYPE_CHECKING:
@@ -161,7 +151,7 @@ class _Effects:
             for quantity, (told, data) in found.items():
                 yield self.row(name, quantity, c, told, counting, data, one.main)
         accuracy = np.array([*one.accuracy.values()])[:, None]
-        data = single_cells(accuracy) if len(accuracy) else "it has no treatment head"
+        data = statistics.single_cells(accuracy) if len(accuracy) else "it has no treatment head"
         mean = None if isinstance(data, str) else Interval(data.mean, reason="no interval")
         yield self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
 
@@ -186,7 +176,7 @@ class _Effects:
             mine, other = (
                 minus(self.of(one.trained.factual, counting, c), truth) for one in (a, b)
             )
-            value = bootstrap_difference(mine, other, self.draws)
+            value = statistics.bootstrap_difference(mine, other, self.draws)
             name = f"{first} - {second}"
             yield self.row(name, ERROR_DIFFERENCE, c, c, counting, mine, a.main, value)
 
@@ -203,7 +193,9 @@ class _Effects:
         starts = self.demos.condition == c
         counts = starts[rollouts.demo] & (rollouts.captured | (counting == "all"))
         values = PATH_LENGTH.measure(Prepared(self.demos).episodes(rollouts))
-        whole = cells(values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts)
+        whole = statistics.cells(
+            values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts
+        )
         return Cells(whole.sums[:, starts], whole.counts[:, starts])
 
     def row(
@@ -216,11 +208,11 @@ class _Effects:
             value = Interval(math.nan, reason=data)
         else:
             seeds, starts = len(data.sums), int(data.starts.sum())
-            value = value or bootstrap_mean(data, self.draws)
+            value = value or statistics.bootstrap_mean(data, self.draws)
         speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
         if method == RECORDED or (quantity == TRUE and self.teams is not None):
             seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
-        return row_of(
+        return statistics.row_of(
             value, method=method,
             variant="" if method == RECORDED else "main" if main else "supplementary",
             quantity=quantity, condition=of, told=told, planned=(of, told) == self.planned,
@@ -233,7 +225,7 @@ def minus(first: Cells, second: Cells) -> Cells:
 
     ``second`` may have a single row, for all seeds.
     """
-    return single_cells(first.cell_means - second.cell_means)
+    return statistics.single_cells(first.cell_means - second.cell_means)
 
 
 def objection_to_claim(
@@ -252,8 +244,8 @@ def objection_to_claim(
         return "there are too few untrained networks to tell it apart from"
     if not ttest_1samp(shift.seed_means, 0.0).pvalue < 1 - CONFIDENCE:
         return "the training seeds do not agree"
-    if not bootstrap_mean(shift, rng, resamples).excludes_zero:
+    if not statistics.bootstrap_mean(shift, rng, resamples).excludes_zero:
         return "the interval includes zero"
-    if not bootstrap_difference(shift, untrained, rng, resamples).excludes_zero:
+    if not statistics.bootstrap_difference(shift, untrained, rng, resamples).excludes_zero:
         return "it is not told apart from that of untrained networks"
     return ""

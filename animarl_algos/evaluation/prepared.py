@@ -16,13 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.order_in_time import (
-    EpisodeMeasures,
-    angle,
-    lags_for,
-    median_steps,
-    order_measures,
-)
+from animarl_algos.evaluation import order_in_time
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -48,7 +42,7 @@ class Prepared:
 
     demos: Demonstrations
     smoothing: int = 1
-    _orders: WeakKeyDictionary[Rollouts, EpisodeMeasures] = field(
+    _orders: WeakKeyDictionary[Rollouts, order_in_time.EpisodeMeasures] = field(
         default_factory=WeakKeyDictionary, init=False, repr=False
     )
 
@@ -78,11 +72,13 @@ class Prepared:
         """Rollouts in the recorded condition, cut where their recording was, and smoothed."""
         return self.filtered(censored(rollouts.factual(self.demos), self.demos))
 
-    def order(self, rollouts: Rollouts) -> EpisodeMeasures:
+    def order(self, rollouts: Rollouts) -> order_in_time.EpisodeMeasures:
         """Order in time, reactions and places of every episode."""
         if rollouts not in self._orders:
-            lags = lags_for(median_steps(self.recorded), self.recorded.dt)
-            measured = order_measures(rollouts, lags, self.rest, self.demos.arena)
+            lags = order_in_time.lags_for(
+                order_in_time.median_steps(self.recorded), self.recorded.dt
+            )
+            measured = order_in_time.order_measures(rollouts, lags, self.rest, self.demos.arena)
             self._orders[rollouts] = measured
         return self._orders[rollouts]
 
@@ -98,7 +94,7 @@ class MeasuredEpisodes:
     rollouts: Rollouts
 
     @property
-    def order(self) -> EpisodeMeasures:
+    def order(self) -> order_in_time.EpisodeMeasures:
         """Order in time, reactions and places, at the lags of the demonstrations."""
         return self.prepared.order(self.rollouts)
 
@@ -154,7 +150,7 @@ class MeasuredEpisodes:
             if len(moved) == 0:
                 continue
             speed = np.linalg.norm(moved, axis=-1) / rollouts.dt
-            turned = np.abs(angle(moved[:-1], moved[1:])).sum(axis=0).mean()
+            turned = np.abs(order_in_time.angle(moved[:-1], moved[1:])).sum(axis=0).mean()
             median = np.median(speed, axis=0).mean()
             found[:, i] = speed.mean(), median, (speed < slow).mean(), turned / self.duration[i]
         return found

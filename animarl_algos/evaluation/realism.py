@@ -16,25 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.order_in_time import (
-    INTERACTIVE,
-    KINEMATIC,
-    ORDER,
-    PLACE,
-    Series,
-    angle,
-)
+from animarl_algos.evaluation import order_in_time, statistics
+from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER, PLACE, Series
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    Draws,
-    Floats,
-    Interval,
-    Ints,
-    bootstrap_mean,
-    cells,
-    row_of,
-)
+from animarl_algos.evaluation.statistics import Draws, Floats, Interval, Ints
 from animarl_envs.demos.episode import UNFINISHED
 
 if TYPE_CHECKING:
@@ -186,7 +172,7 @@ def realism(
         if not weights[members].sum() > 0:
             continue
         means = {key: _weighted(each[members], weights[members]) for key, each in columns.items()}
-        row = row_of(
+        row = statistics.row_of(
             over_groups(means.pop("score"), group, draws),
             component=name,
             kind=kind,
@@ -234,7 +220,7 @@ def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str,
     yield "turning", KINEMATIC, turn
     yield "angular acceleration", KINEMATIC, np.diff(turn, axis=1) / dt
     if position.shape[2] > 1 or prepared.demos.has_goal:
-        bearing = angle(series.focus[:, :-1], series.step)
+        bearing = order_in_time.angle(series.focus[:, :-1], series.step)
         yield "course beside the focus", INTERACTIVE, np.where(series.moving, bearing, np.nan)
     if position.shape[2] > 1:
         yield "nearest neighbour", INTERACTIVE, series.nearest
@@ -330,6 +316,6 @@ def _weighted(scores: Floats, weights: Floats) -> Floats:
 
 def over_groups(scores: Floats, group: Ints, draws: Draws) -> Interval:
     """Mean over starts, its interval over recordings, between 0 and 1."""
-    data = cells(scores, np.zeros(len(scores)), group, int(group.max()) + 1)
-    found = bootstrap_mean(data, draws)
+    data = statistics.cells(scores, np.zeros(len(scores)), group, int(group.max()) + 1)
+    found = statistics.bootstrap_mean(data, draws)
     return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))

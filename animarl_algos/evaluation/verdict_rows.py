@@ -28,15 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_algos.evaluation import order_in_time, statistics
 from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, judged_metrics, measures
-from animarl_algos.evaluation.order_in_time import (
-    INTERACTIVE,
-    KINEMATIC,
-    ORDER,
-    PLACE,
-    EpisodeMeasures,
-    Measure,
-)
 from animarl_algos.evaluation.prepared import (
     Prepared,
     ending,
@@ -45,16 +38,7 @@ from animarl_algos.evaluation.prepared import (
     mean_survival,
 )
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    Floats,
-    Ints,
-    bootstrap_difference,
-    cells,
-    covers,
-    energy_scores,
-    pooled_score,
-    row_of,
-)
+from animarl_algos.evaluation.statistics import Floats, Ints, covers
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 
@@ -71,10 +55,10 @@ LITTLE_SHARE = 0.05  # the same for a share of episodes or steps, and for what h
 OUTCOMES = "outcomes"
 CONTROLS = ("strangers", "blind")  # columns of a group alone
 KINDS = {
-    KINEMATIC: "Motion of individuals",
-    ORDER: "Order in time",
-    INTERACTIVE: "Reactions to others",
-    PLACE: "Place",
+    order_in_time.KINEMATIC: "Motion of individuals",
+    order_in_time.ORDER: "Order in time",
+    order_in_time.INTERACTIVE: "Reactions to others",
+    order_in_time.PLACE: "Place",
 }
 """Rows of several measures each; the one that differs most stands for them."""
 MOST_PHRASES = 4  # of one row
@@ -323,7 +307,7 @@ class JointTests:
     prepared: Prepared
     counted: Rollouts
     metrics: tuple[Mapping[str, Floats], Mapping[str, Floats]]
-    columns: EpisodeMeasures
+    columns: order_in_time.EpisodeMeasures
     test: ExchangeTest
     ends: tuple[NDArray[np.int64], NDArray[np.int64]]
     endings: Tested
@@ -348,14 +332,17 @@ class JointTests:
         order = prepared.order(sides[0])
         rest = [i for i, name in enumerate(order.names) if name not in own]
         later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
-        tested = *(Measure(name, "") for name in columns), *(order.measures[i] for i in rest)
+        tested = (
+            *(order_in_time.Measure(name, "") for name in columns),
+            *(order.measures[i] for i in rest),
+        )
         values = np.concatenate([np.stack([*columns.values()], axis=1), later], axis=1)
         exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
         start = np.concatenate([np.arange(starts), counted.demo])
         test = exchange_test(values, exchanges, level=LEVEL, start=start, group=group, rng=rng)
         ends = ending(prepared.recorded), ending(counted)
         endings = exchanges.chi_squared(np.concatenate(ends))
-        found = EpisodeMeasures(tested, values)
+        found = order_in_time.EpisodeMeasures(tested, values)
         return cls(prepared, counted, measured, found, test, ends, endings)
 
     @property
@@ -415,9 +402,9 @@ def _metric_rows(
         nobody = metric.is_ending and not (a.any() or b.any())
         if nobody or (metric is DURATION and not tests.can_end):
             continue
-        many = cells(b, counted.seed, counted.demo, len(a))
-        one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
-        gap = bootstrap_difference(many, one, rng, share=metric.share)
+        many = statistics.cells(b, counted.seed, counted.demo, len(a))
+        one = statistics.cells(a[starts], np.full(len(starts), -1), starts, len(a))
+        gap = statistics.bootstrap_difference(many, one, rng, share=metric.share)
         recorded, drawn = one.mean, many.even.mean
         if _is_censored(metric, prepared):
             recorded, drawn = _mean_durations(prepared.recorded, counted, starts)
@@ -441,15 +428,15 @@ def _metric_rows(
             judgement, words = BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}"
         more_columns: dict[str, Any] = {}
         if metric.noun:
-            scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
+            scores = statistics.energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
             more_columns |= {"energy": float(np.mean(scores))}
-            more_columns |= {"energy_pooled": pooled_score(a[starts])}
+            more_columns |= {"energy_pooled": statistics.pooled_score(a[starts])}
         if metric.about == GROUP:
             known = {name: side[metric.key] for name, side in controls.items() if side}
             known = {name: values[np.isfinite(values)] for name, values in known.items()}
             more_columns |= {name: float(v.mean()) for name, v in known.items() if len(v)}
         yield Row(
-            **row_of(gap, measure=metric.key, label=metric.label, judgement=judgement),
+            **statistics.row_of(gap, measure=metric.key, label=metric.label, judgement=judgement),
             unit=metric.unit.replace("arena units", prepared.unit.name), verdict=words,
             recorded=recorded, simulated=drawn, distance=tests.gap(worst),
             null=float(test.null[worst]), p=test.least_p([place, worst]), covers=covers(many),

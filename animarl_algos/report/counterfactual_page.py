@@ -15,29 +15,8 @@ from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval, cells
-from animarl_algos.report import figures, style
+from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance
-from animarl_algos.report.page import (
-    Block,
-    Gallery,
-    Page,
-    Player,
-    Section,
-    Sentences,
-    Table,
-    Text,
-    tabulate,
-)
-from animarl_algos.report.player import (
-    STARTS,
-    Scene,
-    at_ranks,
-    middles,
-    of_starts,
-    play,
-    track,
-    view,
-)
 from animarl_algos.report.style import Image, method_label, to_image
 from animarl_algos.report.words import MINUS, capitalised, pick, scaled, with_interval
 from animarl_envs.species import Species
@@ -80,16 +59,16 @@ class CounterfactualInputs(PageInputs):
         return self.words.interval(row, PATH_LENGTH)
 
 
-def counterfactual_page(inputs: CounterfactualInputs) -> Page:
+def counterfactual_page(inputs: CounterfactualInputs) -> page.Page:
     """Return the page: what is claimed and the player, then shifts and how it was made."""
     names = list(map(method_label, inputs.asked))
-    said = [Sentences(list(findings(inputs))), Sentences(list(cautions(inputs)))]
+    said = [page.Sentences(list(findings(inputs))), page.Sentences(list(cautions(inputs)))]
     seeds = [
         (method_label(name), f"seeds {', '.join(map(str, some))}")
         for name, some in inputs.seeds.items()
     ]
     demos = inputs.demos
-    return Page(
+    return page.Page(
         title=f"Counterfactual: {', '.join(names)}",
         kind="What if the condition had been the other one?",
         synthetic=demos.synthetic,
@@ -100,9 +79,9 @@ def counterfactual_page(inputs: CounterfactualInputs) -> Page:
         ],
         player=_player(inputs),
         sections=[
-            Section("findings", "In short", [block for block in said if block.sentences]),
-            Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
-            Section("provenance", "How this was made", list(provenance(inputs, "page"))),
+            page.Section("findings", "In short", [block for block in said if block.sentences]),
+            page.Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
+            page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
         ],
     )
 
@@ -155,19 +134,19 @@ def cautions(inputs: CounterfactualInputs) -> Iterator[str]:
         )
 
 
-def _shifts(inputs: CounterfactualInputs) -> Iterator[Block]:
+def _shifts(inputs: CounterfactualInputs) -> Iterator[page.Block]:
     truth = (
         "its own search in the world of the other condition"
         if inputs.species.condition_is_sensed
         else "what teams trained under the other condition do from the same starts"
     )
-    yield Text(
+    yield page.Text(
         "A policy is told the other condition; the world, the starts and all random numbers stay "
         f"as they are. The truth is {truth}. Beside it stand two shifts in which nothing of the "
         "condition was learned: of untrained networks, and of the trained ones with the flag "
         "zeroed, asked twice with random numbers of their own."
     )
-    yield Gallery(
+    yield page.Gallery(
         list(_shift_images(inputs)),
         f"Shift of the mean path length ({inputs.unit}) with 95 % interval, all episodes; grey: "
         "where nothing of the condition was learned.",
@@ -175,7 +154,7 @@ def _shifts(inputs: CounterfactualInputs) -> Iterator[Block]:
     yield _shift_table(inputs)
 
 
-def _shift_table(inputs: CounterfactualInputs) -> Table:
+def _shift_table(inputs: CounterfactualInputs) -> page.Table:
     """Predicted shifts beside their truth and their nulls, as far as they are known."""
     known = inputs.effects.table.dropna(subset="value")
     predicted = known[known["quantity"] == effects_of.PREDICTED]
@@ -185,7 +164,7 @@ def _shift_table(inputs: CounterfactualInputs) -> Table:
             inputs.value(row["method"], quantity, row["condition"], row["counting"])
         )
 
-    return tabulate(
+    return page.tabulate(
         "Shifts",
         {
             "Method": lambda row: method_label(row["method"]),
@@ -231,21 +210,21 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
             yield to_image(figure, f"Predicted and true shifts of the path length, {flip}")
 
 
-def _player(inputs: CounterfactualInputs) -> Player:
+def _player(inputs: CounterfactualInputs) -> page.Player:
     """Play the first method: factual beside flipped, flipped beside the truth and the recording."""
     name = method_label(next(iter(inputs.asked)))
     factual = f"{name}, factual"
-    views = [view("flipped", factual, FACTUAL, TOLD_OTHER, FLIPPED)]
+    views = [player.view("flipped", factual, FACTUAL, TOLD_OTHER, FLIPPED)]
     if inputs.teams is not None:
         team = "team of the other condition"
-        views.append(view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
-    views.append(view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
+        views.append(player.view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
+    views.append(player.view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
     scenes = list(_scenes(inputs))
     chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
-    return play(inputs, scenes, views, of_starts(len(scenes), chosen))
+    return player.play(inputs, scenes, views, player.of_starts(len(scenes), chosen))
 
 
-def _scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:
+def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:
     """Starts by how much longer paths get when the first method is told the other condition."""
     trained, demos = next(iter(inputs.asked.values())).trained, inputs.demos
     prepared, number = Prepared(demos), demos.num_episodes
@@ -256,13 +235,15 @@ def _scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:
     present = np.unique(demos.condition).tolist()
     for condition in present:
         starts = np.flatnonzero(demos.condition == condition)
-        quantiles = middles(max(1, STARTS // len(present)))
-        for start in starts[at_ranks((after - before)[starts], starts, quantiles)].tolist():
+        quantiles = player.middles(max(1, player.STARTS // len(present)))
+        for start in starts[player.at_ranks((after - before)[starts], starts, quantiles)].tolist():
             of = {RECORDED: prepared.recorded, FACTUAL: trained.factual, FLIPPED: trained.flipped}
             if inputs.teams is not None:
                 of[TEAM] = inputs.teams[1 - condition]
             tracks = {
-                kind: track(some, int(np.flatnonzero(some.demo == start)[0]))  # its first rollout
+                kind: player.track(
+                    some, int(np.flatnonzero(some.demo == start)[0])
+                )  # its first rollout
                 for kind, some in of.items()
             }
-            yield Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
+            yield player.Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
