@@ -32,7 +32,7 @@ from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKN
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError
 
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 QUARTER = 0.25  # of the median episode: a long window ...
@@ -302,11 +302,9 @@ def tell_apart(
         No more deals than ``DEALS`` where the area is so far from chance, or so near, that more
         would not change what a row says: for a benchmark, which asks for that alone.
     """
-    try:
-        from sklearn.ensemble import HistGradientBoostingClassifier
-        from threadpoolctl import threadpool_limits
-    except ImportError as error:
-        raise MissingExtraError("telling simulation from recording", "algos") from error
+    from sklearn.ensemble import HistGradientBoostingClassifier
+    from threadpoolctl import threadpool_limits
+
     first, second = _thinned(first, rng), _thinned(second, rng)
     values = _levels(np.concatenate([first.values, second.values]))
     simulated = np.repeat([False, True], [len(first), len(second)])

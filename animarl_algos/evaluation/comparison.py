@@ -12,9 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations as ordered_pairs
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from animarl_algos.evaluation.classifier import Tracked
 from animarl_algos.evaluation.metrics import (
@@ -43,11 +44,8 @@ from animarl_algos.evaluation.statistics import (
 )
 from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 TABLES = ("metrics", "comparison", "pairs")
 NUMBERS = ("fingerprint", "seed", "resamples")
@@ -132,8 +130,6 @@ def comparison_table(
     seeds), and ``covers`` what the interval from ``low`` to ``high`` speaks of; where there is
     none, ``reason`` says why.
     """
-    import pandas as pd
-
     draws, table = Draws.by(rng, resamples), []
     for each in _measures(metrics, num_demos):
         for name, data in each.data.items():
@@ -166,8 +162,6 @@ def pair_table(
     (DTW distances by themselves), and its ``gate_p``. Nothing is concluded from a planned pair
     whose gate is not passed.
     """
-    import pandas as pd
-
     draws, table = Draws.by(rng, resamples), []
     names = metrics.loc[metrics["factual"], "method"].unique()
     own = {str(name).casefold(): str(name) for name in names if name != RECORDED}
@@ -329,8 +323,6 @@ def evaluate(
     floor, references
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
     """
-    import pandas as pd
-
     if not rollouts:
         raise InputError("there are no rollouts to evaluate: collect those of one method at least")
     learner = learner or next(iter(rollouts))
@@ -372,7 +364,7 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
     """Every table that has columns as ``NAME.csv`` and ``NAME.parquet``, whole or not at all.
 
     Their column ``reason`` says why a number of the row is missing; reasons that a table has
-    already are kept. MissingExtraError if pyarrow is not installed.
+    already are kept.
     """
     for name, table in tables.items():
         if not len(table.columns):
@@ -387,7 +379,4 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
         with write_then_rename(Path(folder) / f"{name}.csv") as part:
             tidy.to_csv(part, index=False)
         with write_then_rename(Path(folder) / f"{name}.parquet") as part:
-            try:
-                tidy.to_parquet(part, index=False, engine="pyarrow")
-            except ImportError as error:
-                raise MissingExtraError("writing Parquet", "algos") from error
+            tidy.to_parquet(part, index=False, engine="pyarrow")

@@ -18,9 +18,10 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.comparison import COUNTING
@@ -29,9 +30,6 @@ from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import CONFIDENCE, RESAMPLES, Cells, Draws, Interval
 from animarl_envs.demos.demonstrations import Demonstrations
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MEAN, FLIPPED = "mean", "mean, cue flipped"
 ERROR, PREDICTED, TRUE = "signed error", "predicted shift", "true shift"
@@ -99,8 +97,6 @@ def cue_effects(
     planned
         The flip ``(from, to)`` that was planned in advance; only of it a claim may be worded.
     """
-    import pandas as pd
-
     worked = _Effects(demos, teams, planned, Draws(0, resamples))
     rows = [
         worked.row(RECORDED, MEAN, c, c, counting, worked.recorded(counting, c))

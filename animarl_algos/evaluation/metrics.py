@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from animarl_algos.evaluation.order_in_time import MEASURES, lags_for, median_steps, seconds_of
 from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared
@@ -19,9 +21,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, Episodes
 from animarl_envs.demos.summary import RECORDED_SCALE
 from animarl_envs.errors import InputError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ARENA_UNITS = RECORDED_SCALE.name
 GOAL, GROUP, ANIMAL = "goal", "group", "animal"  # what a metric may be about
@@ -292,8 +291,6 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
 
     Raises InputError if the rollouts are not of these demonstrations.
     """
-    import pandas as pd
-
     if rollouts.individuals != demos.individuals or rollouts.demo.max() >= demos.num_episodes:
         raise InputError(
             f"the rollouts of {rollouts.method} were not made from {demos.name}: "

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation import order_in_time, statistics
@@ -22,9 +22,6 @@ from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Draws, Floats, Interval, Ints
 from animarl_envs.demos.episode import UNFINISHED
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 ENDING = "ending"
 WEIGHTS: Mapping[str, float] = {
@@ -142,8 +139,6 @@ def realism(
     random
         Rollouts of random actions from the same starts.
     """
-    import pandas as pd
-
     recorded, recording = prepared.recorded, prepared.demos.recording
     pool = recorded if references is None else references
     likelihood = Likelihood.of(prepared, references)

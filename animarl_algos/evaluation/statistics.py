@@ -270,9 +270,10 @@ def bootstrap_mean(
     deviations, mean = present.deviations, present.mean
     if share:
         by_demos = share_margins(mean, deviations.mean(axis=0) + mean)
-        below, above = np.sqrt(np.square(by_demos) + seed_square([deviations]))
-        return Interval(mean, max(mean - float(below), 0.0), min(mean + float(above), 1.0))
-    return _around(mean, [deviations], Draws.by(rng, resamples))
+        below, above = np.sqrt(np.square(by_demos) + seed_square([deviations])).tolist()
+        return Interval(mean, max(mean - below, 0.0), min(mean + above, 1.0))
+    below, above = margins([deviations], Draws.by(rng, resamples)).tolist()
+    return Interval(mean, mean - below, mean + above)
 
 
 def bootstrap_difference(
@@ -302,12 +303,8 @@ def bootstrap_difference(
         above = math.hypot(one.high - one.estimate, other.estimate - other.low)
         return Interval(estimate, max(estimate - below, -1.0), min(estimate + above, 1.0))
     terms = [pair[0].deviations, -pair[1].deviations]
-    return _around(estimate, terms, Draws.by(rng, resamples))
-
-
-def _around(estimate: float, terms: Sequence[Floats], draws: Draws) -> Interval:
-    below, above = margins(terms, draws)
-    return Interval(float(estimate), estimate - float(below), estimate + float(above))
+    below, above = margins(terms, Draws.by(rng, resamples)).tolist()
+    return Interval(estimate, estimate - below, estimate + above)
 
 
 # -- margins --------------------------------------------------------------------------------------
@@ -335,7 +332,15 @@ def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
     by_t = _t(number - 1) * error
     if number < FEWEST_RESAMPLED:
         return by_t, by_t
-    low, high = _studentised_quantiles(values, draws.of(number))
+    flat = (values - mean[..., None]).reshape(-1, number).T
+    weights = draws.of(number)
+    moved = weights @ flat / number
+    variance = np.maximum(weights @ np.square(flat) / number - np.square(moved), 0.0)
+    floor = 1e-12 * np.square(flat).mean(axis=0)  # of rounding, not of spread
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = moved / np.sqrt(np.where(variance > floor, variance, 0.0) / (number - 1))
+        t = np.where(np.isnan(t), 0.0, t)  # no spread and no deviation
+        low, high = np.percentile(t, TAILS, axis=0).reshape(2, *mean.shape)
     defined = np.isfinite(low) & np.isfinite(high)
     sides = [(high, mean - values.min(axis=-1)), (-low, values.max(axis=-1) - mean)]
     found = []
@@ -346,20 +351,6 @@ def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
     return found[0], found[1]
 
 
-def _studentised_quantiles(values: Floats, weights: Floats) -> Floats:
-    """Quantiles ``(2, ...)`` of resampled deviations, each over its own standard error."""
-    number = values.shape[-1]
-    flat = (values - values.mean(axis=-1, keepdims=True)).reshape(-1, number).T
-    mean = weights @ flat / number
-    variance = np.maximum(weights @ np.square(flat) / number - np.square(mean), 0.0)
-    floor = 1e-12 * np.square(flat).mean(axis=0)  # of rounding, not of spread
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = mean / np.sqrt(np.where(variance > floor, variance, 0.0) / (number - 1))
-        t = np.where(np.isnan(t), 0.0, t)  # no spread and no deviation
-        ends = np.percentile(t, TAILS, axis=0)
-    return np.asarray(ends).reshape(2, *values.shape[:-1])
-
-
 def seed_square(terms: Sequence[Floats]) -> Floats:
     """Square of the margin that networks add, ``(...,)``; zero for single seeds, which show none.
 
@@ -368,27 +359,20 @@ def seed_square(terms: Sequence[Floats]) -> Floats:
     """
     between, within, per_freedom = np.zeros((3, *terms[0].shape[:-2]))
     for table in terms:
-        seeds = table.shape[-2]
+        seeds, demos = table.shape[-2:]
         if seeds < 2:
             continue
-        variance = table.mean(axis=-1).var(axis=-1, ddof=1) / seeds
+        rows, columns = table.mean(axis=-1, keepdims=True), table.mean(axis=-2, keepdims=True)
+        variance = rows[..., 0].var(axis=-1, ddof=1) / seeds
         between = between + variance
         per_freedom = per_freedom + np.square(variance) / (seeds - 1)
-        within = within + _cell_variance(table)
+        if demos > 1:  # what cells of seed and demonstration add to the variance of their mean
+            left = np.square(table - rows - columns + rows.mean(axis=-2, keepdims=True))
+            freedom = (seeds - 1) * (demos - 1)
+            within = within + left.sum(axis=(-2, -1)) / freedom / (seeds * demos)
     varies = per_freedom > 0
-    freedom = np.where(varies, np.square(between) / np.where(varies, per_freedom, 1.0), 1.0)
-    return np.asarray(_t(freedom) ** 2 * np.maximum(between - within, 0.0))
-
-
-def _cell_variance(table: Floats) -> Floats:
-    """What cells of seed and demonstration add to the variance of their mean."""
-    seeds, demos = table.shape[-2:]
-    if demos < 2:
-        return np.zeros(table.shape[:-2])
-    rows, columns = table.mean(axis=-1, keepdims=True), table.mean(axis=-2, keepdims=True)
-    left = table - rows - columns + rows.mean(axis=-2, keepdims=True)
-    freedom = (seeds - 1) * (demos - 1)
-    return np.asarray(np.square(left).sum(axis=(-2, -1)) / freedom / (seeds * demos))
+    welch = np.where(varies, np.square(between) / np.where(varies, per_freedom, 1.0), 1.0)
+    return np.asarray(_t(welch) ** 2 * np.maximum(between - within, 0.0))
 
 
 def share_margins(share: float, values: Floats) -> tuple[float, float]:

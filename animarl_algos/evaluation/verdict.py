@@ -14,9 +14,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE, Tracked, followed, judges
 from animarl_algos.evaluation.metrics import measures
@@ -47,9 +48,6 @@ from animarl_algos.evaluation.verdict_rows import (
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
@@ -162,8 +160,6 @@ class Verdict:
 
 def read_table(file: Path) -> pd.DataFrame:
     """Read a table as it was written: a column of :data:`WORDS` may be empty throughout."""
-    import pandas as pd
-
     try:
         table = pd.read_csv(file, float_precision="round_trip")
     except pd.errors.EmptyDataError:
@@ -236,8 +232,6 @@ def verdict(
     All positions go through the moving average of
     :func:`~animarl_algos.evaluation.prepared.comparison_smoothing` first.
     """
-    import pandas as pd
-
     baselines = baselines or {}
     prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed)
     unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None

@@ -13,15 +13,14 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
+
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from animarl_algos.report.style import COLOURS, Image, figure_style
 from animarl_envs.drawing.palette import to_hex
-from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 TEMPLATES = Path(__file__).parent / "templates"
 SCRIPTS = (
@@ -181,11 +180,7 @@ class Page:
         object.__setattr__(self, "sections", [one for one in self.sections if one.blocks])
 
     def html(self) -> str:
-        """Return the page as HTML; raise MissingExtraError if jinja2 is not installed."""
-        try:
-            from jinja2 import Environment, FileSystemLoader, StrictUndefined
-        except ImportError as error:
-            raise MissingExtraError("the report", "algos") from error
+        """Return the page as HTML."""
         environment = Environment(
             loader=FileSystemLoader(TEMPLATES),
             autoescape=True,

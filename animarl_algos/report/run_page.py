@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from animarl_algos.evaluation.comparison import COUNTING
 from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
@@ -23,9 +24,6 @@ from animarl_algos.report.player import examples, factual_rollouts, run_player
 from animarl_algos.report.style import Image, method_label, to_image
 from animarl_algos.report.verdict_section import comparison_as_table, verdict_blocks, verdict_lead
 from animarl_algos.report.words import NOTHING, cautions, number, pick, scaled
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the DTW distance, for the examples
 

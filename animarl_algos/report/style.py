@@ -10,15 +10,14 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_envs.drawing.palette import RGB, to_hex
-from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -163,15 +162,11 @@ def looks(roles: Sequence[str]) -> list[Look]:
     return out
 
 
-@contextmanager
-def figure_style() -> Iterator[None]:
-    """Within it, new figures share one look; MissingExtraError if matplotlib is not installed."""
-    try:
-        from matplotlib import rc_context
-    except ImportError as error:
-        raise MissingExtraError("drawing figures", "algos") from error
-    with rc_context(RC):
-        yield
+def figure_style() -> AbstractContextManager[None]:
+    """Return a context within which new figures share one look."""
+    from matplotlib import rc_context
+
+    return rc_context(RC)
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:

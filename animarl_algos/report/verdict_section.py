@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table as TerminalTable
+from rich.text import Text
 
 from animarl_algos.evaluation.classifier import AUC, FEWEST_DEMOS, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
@@ -27,11 +31,6 @@ from animarl_algos.evaluation.verdict_rows import (
 from animarl_algos.report.page import Block, Lead, Table, tabulate
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import NOTHING, Words, capitalised, number, pick, with_interval
-from animarl_envs.errors import MissingExtraError
-
-if TYPE_CHECKING:
-    from rich.table import Table as TerminalTable
-
 
 SIGNS = {
     SAME: ("green", "\u2248"), BY_LITTLE: ("amber", "~"), DIFFERS: ("red", "\u2260"),
@@ -282,13 +281,13 @@ def comparison_as_table(
 
 
 def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
-    """Return the verdict for the terminal; raise MissingExtraError if rich is not installed."""
+    """Return the verdict for the terminal."""
     table = verdict_as_table(verdict, words)
     return _terminal_table(table, verdict_sentence(verdict, words), wrapped=True)
 
 
 def evaluation_table(evaluation: Evaluation, words: Words = DEMONSTRATED) -> TerminalTable:
-    """Return the comparison for the terminal; raise MissingExtraError if rich is not installed."""
+    """Return the comparison for the terminal."""
     table = comparison_as_table(evaluation, words, ["all"])
     title = words.say(f"Simulated against recorded, {COUNTING['all']}")
     return _terminal_table(table, title, wrapped=False)
@@ -300,12 +299,6 @@ def _terminal_table(table: Table, title: str, *, wrapped: bool) -> TerminalTable
     Columns of words may be wrapped, and rows that are not faint are bold; where they are not,
     intervals stand below means.
     """
-    try:
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table as TerminalTable
-        from rich.text import Text
-    except ImportError as error:
-        raise MissingExtraError("the table", "algos") from error
     made = TerminalTable(
         title=Text(title), caption=Text(table.caption), box=SIMPLE_HEAD, padding=(0, 1)
     )

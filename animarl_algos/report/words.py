@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from animarl_algos.evaluation.metrics import ARENA_UNITS, DTW, Metric
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
 from animarl_algos.report.style import is_recorded, method_label
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RECORDED_SCALE, Unit, unit_of
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MINUS, NOTHING, ARROW = "\u2212", "\u2013", " \u2192 "
 FEW_SEEDS = 5
