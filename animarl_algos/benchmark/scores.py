@@ -31,7 +31,7 @@ from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
 from animarl_algos.evaluation.prepared import Prepared, censored, comparison_smoothing
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import FEW_ROLLOUTS, RESAMPLES, Draws, Interval, covers
+from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
 from animarl_algos.evaluation.verdict import summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
 from animarl_envs.checks import printable
@@ -179,9 +179,7 @@ def _score(
         summary_table(prepared, side) for side in (prepared.filtered(counted), prepared.recorded)
     )
     energies = statistics.energy_cells(drawn, counted.seed, counted.demo, true)
-    energy, pooled = Interval(math.nan, reason=FEW_ROLLOUTS), statistics.pooled_score(true)
-    if energies.counts.any():
-        energy = statistics.bootstrap_mean(energies, draws)
+    energy, pooled = statistics.bootstrap_mean(energies, draws), statistics.pooled_score(true)
     put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
     own, other = (DTW_PER_STEP.measure(prepared.episodes(side)) for side in (counted, beside))
     data, null = statistics.cells(own, counted.seed, counted.demo, len(test)), float(other.mean())

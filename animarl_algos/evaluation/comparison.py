@@ -27,12 +27,10 @@ from animarl_algos.evaluation.metrics import (
 )
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
-    FEW_ROLLOUTS,
     RESAMPLES,
     Cells,
     Draws,
     Floats,
-    Interval,
     bootstrap_difference,
     bootstrap_mean,
     cells,
@@ -72,11 +70,6 @@ class _Measure:
     @property
     def share(self) -> bool:
         return self.metric.share and self.truth is None
-
-    def explained(self, found: Interval, *sides: Cells) -> Interval:
-        """Return an interval; an energy score needs two rollouts of a start on each side."""
-        enough = self.truth is None or all(data.counts.any() for data in sides)
-        return found if enough else Interval(math.nan, reason=FEW_ROLLOUTS)
 
 
 def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
@@ -133,7 +126,7 @@ def comparison_table(
     draws, table = Draws.by(rng, resamples), []
     for each in _measures(metrics, num_demos):
         for name, data in each.data.items():
-            value = each.explained(bootstrap_mean(data, draws, share=each.share), data)
+            value = bootstrap_mean(data, draws, share=each.share)
             null = math.nan if each.truth is None else pooled_score(each.truth[data.starts])
             table.append(
                 row_of(
@@ -184,8 +177,7 @@ def pair_table(
             gap = bootstrap_difference(one, other, draws, share=each.share)
             same = (one.starts == other.starts).all()
             row = row_of(
-                each.explained(gap, one, other), measure=each.key,
-                counting=each.counting, first=first, second=second,
+                gap, measure=each.key, counting=each.counting, first=first, second=second,
                 demos=int((one.starts & other.starts).sum()),
                 pairing="paired, same starts" if same else "paired, shared starts only",
                 covers=covers(one) if second == RECORDED else covers(one, other), gate="",

@@ -14,7 +14,6 @@ and it differs from that of networks that learned nothing.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations
@@ -127,28 +126,30 @@ class _Effects:
     def method_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
         for counting, c in self.everything:
             factual, flipped = (self.of(side, counting, c) for side in one.trained)
+            predicted = minus(flipped, factual)
             truth = None if self.teams is None else Answers(self.teams[c], self.teams[1 - c])
             truth = truth if one.world is None else Answers(one.trained.factual, one.world)
-            true = NO_TRUTH if truth is None else self.shift(truth, counting, c)
-            predicted = minus(flipped, factual)
-            found: dict[str, tuple[int, Cells | str]] = {
+            true = self.shift(truth, counting, c, NO_TRUTH)
+            found = {
                 MEAN: (c, factual),
                 FLIPPED: (1 - c, flipped),
                 ERROR: (c, minus(factual, self.recorded(counting, c))),
                 PREDICTED: (1 - c, predicted),
                 TRUE: (1 - c, true),
-                MISSED: (1 - c, true if isinstance(true, str) else minus(predicted, true)),
+                MISSED: (1 - c, minus(predicted, true)),
                 UNTRAINED_SHIFT: (1 - c, self.shift(one.untrained, counting, c)),
                 BLIND: (1 - c, self.shift(one.blind, counting, c)),
             }
             blind = one.blind
             if blind and np.array_equal(blind.factual.positions, blind.flipped.positions):
-                found[BLIND] = 1 - c, "it acts without chance: asked twice, it does the same"
+                same = "it acts without chance: asked twice, it does the same"
+                found[BLIND] = 1 - c, Cells.absent(same)
             for quantity, (told, data) in found.items():
                 yield self.row(name, quantity, c, told, counting, data, one.main)
-        accuracy = np.array([*one.accuracy.values()])[:, None]
-        data = statistics.single_cells(accuracy) if len(accuracy) else "it has no treatment head"
-        mean = None if isinstance(data, str) else Interval(data.mean, reason="no interval")
+        data, mean = Cells.absent("it has no treatment head"), None
+        if one.accuracy:
+            data = statistics.single_cells(np.array([*one.accuracy.values()])[:, None])
+            mean = Interval(data.mean, reason="no interval")
         yield self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
 
     def claim_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
@@ -157,9 +158,7 @@ class _Effects:
             against = "this flip was not planned in advance"
             if (c, 1 - c) == self.planned:
                 shift, untrained = (self.shift(a, "all", c) for a in (one.trained, one.untrained))
-                assert isinstance(shift, Cells)
-                null = None if isinstance(untrained, str) else untrained
-                against = objection_to_claim(shift, null, self.draws)
+                against = objection_to_claim(shift, untrained, self.draws)
             yield {"method": name, "condition": c, "told": 1 - c, "worded": not against,
                    "reason": against}  # fmt: skip
 
@@ -176,9 +175,11 @@ class _Effects:
             name = f"{first} - {second}"
             yield self.row(name, ERROR_DIFFERENCE, c, c, counting, mine, a.main, value)
 
-    def shift(self, answers: Answers | None, counting: str, c: int) -> Cells | str:
+    def shift(
+        self, answers: Answers | None, counting: str, c: int, lacking: str = "not asked"
+    ) -> Cells:
         if answers is None:
-            return "not asked"
+            return Cells.absent(lacking)
         return minus(self.of(answers.flipped, counting, c), self.of(answers.factual, counting, c))
 
     def recorded(self, counting: str, c: int) -> Cells:
@@ -195,16 +196,11 @@ class _Effects:
         return Cells(whole.sums[:, starts], whole.counts[:, starts])
 
     def row(
-        self, method: str, quantity: str, of: int, told: int, counting: str, data: Cells | str,
+        self, method: str, quantity: str, of: int, told: int, counting: str, data: Cells,
         main: bool = True, value: Interval | None = None,
     ) -> dict[str, Any]:  # fmt: skip
-        """A row of the table; ``data`` is why there is nothing where there is nothing."""
-        seeds = starts = 0
-        if isinstance(data, str):
-            value = Interval(math.nan, reason=data)
-        else:
-            seeds, starts = len(data.sums), int(data.starts.sum())
-            value = value or statistics.bootstrap_mean(data, self.draws)
+        seeds, starts = len(data.sums), int(data.starts.sum())
+        value = value or statistics.bootstrap_mean(data, self.draws)
         speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
         if method == RECORDED or (quantity == TRUE and self.teams is not None):
             seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
@@ -219,14 +215,16 @@ class _Effects:
 def minus(first: Cells, second: Cells) -> Cells:
     """Difference of the means of every seed and start, where both have one; each counts once.
 
-    ``second`` may have a single row, for all seeds.
+    ``second`` may have a single row, for all seeds. If either is absent, so is the difference.
     """
+    if gone := [one for one in (first, second) if not one.sums.size]:
+        return gone[0]
     return statistics.single_cells(first.cell_means - second.cell_means)
 
 
 def objection_to_claim(
     shift: Cells,
-    untrained: Cells | None,
+    untrained: Cells,
     rng: np.random.Generator | Draws,
     resamples: int = RESAMPLES,
 ) -> str:
@@ -236,7 +234,7 @@ def objection_to_claim(
     seeds = len(shift.sums)
     if seeds < FEWEST_SEEDS:
         return f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
-    if untrained is None or len(untrained.sums) < FEWEST_SEEDS:
+    if len(untrained.sums) < FEWEST_SEEDS:
         return "there are too few untrained networks to tell it apart from"
     if not ttest_1samp(shift.seed_means, 0.0).pvalue < 1 - CONFIDENCE:
         return "the training seeds do not agree"

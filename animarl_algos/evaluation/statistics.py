@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,11 +68,18 @@ def row_of(value: Interval, **columns: Any) -> dict[str, Any]:
 class Cells:
     """Sums and counts of one metric per training seed and demonstration, each ``(seeds, demos)``.
 
-    The mean over any resample of seeds and demonstrations is a ratio of the two.
+    The mean over any resample of seeds and demonstrations is a ratio of the two. ``lacking`` says
+    why there is none where nothing counts.
     """
 
     sums: Floats
     counts: Floats
+    lacking: str = NO_VALUE
+
+    @classmethod
+    def absent(cls, lacking: str) -> Cells:
+        """Return cells of nobody and nothing."""
+        return cls(np.zeros((0, 0)), np.zeros((0, 0)), lacking)
 
     @property
     def mean(self) -> float:
@@ -196,7 +203,8 @@ def energy_cells(
     drawn, of, start = np.asarray(simulated, np.float64), np.asarray(seed), np.asarray(demo)
     seeds, known = np.unique(of), np.isfinite(drawn).reshape(len(drawn), -1).all(axis=1)
     rows = [(drawn[chosen], start[chosen]) for chosen in ((of == one) & known for one in seeds)]
-    return single_cells(np.array([energy_scores(*row, recorded) for row in rows]))
+    scores = single_cells(np.array([energy_scores(*row, recorded) for row in rows]))
+    return replace(scores, lacking=FEW_ROLLOUTS)
 
 
 def pooled_score(recorded: ArrayLike) -> float:
@@ -264,7 +272,7 @@ def bootstrap_mean(
     """
     present = data.of(data.starts)
     if not present.counts.size:
-        return Interval(math.nan, reason=NO_VALUE)
+        return Interval(math.nan, reason=data.lacking)
     if present.sums.shape[1] < 2:
         return Interval(present.mean, reason=ONE_DEMO)
     deviations, mean = present.deviations, present.mean
@@ -292,8 +300,8 @@ def bootstrap_difference(
     """
     pair = shared_starts([first, second])
     if min(data.counts.sum() for data in pair) == 0:
-        empty = min(first.counts.sum(), second.counts.sum()) == 0
-        return Interval(math.nan, reason=NO_VALUE if empty else NOTHING_SHARED)
+        empty = [data.lacking for data in (first, second) if not data.counts.any()]
+        return Interval(math.nan, reason=[*empty, NOTHING_SHARED][0])
     estimate = pair[0].mean - pair[1].mean
     if pair[0].sums.shape[1] < 2:
         return Interval(estimate, reason=ONE_DEMO)

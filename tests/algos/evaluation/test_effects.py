@@ -223,7 +223,7 @@ def test_an_effect_that_all_seeds_share_is_claimed() -> None:
     shift = Cells(2.0 + 0.1 * rng.normal(size=(4, 12)), np.ones((4, 12)))
     null = Cells(0.1 * rng.normal(size=(4, 12)), np.ones((4, 12)))
     assert not objection_to_claim(shift, null, rng, SMALL)
-    assert "untrained" in objection_to_claim(shift, None, rng, SMALL)
+    assert "untrained" in objection_to_claim(shift, Cells.absent("not asked"), rng, SMALL)
     alike = replace(null, sums=null.sums + 2.0)
     assert "not told apart" in objection_to_claim(shift, alike, rng, SMALL)
     few = Cells(shift.sums[: FEWEST_SEEDS - 1], shift.counts[: FEWEST_SEEDS - 1])
