@@ -13,7 +13,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CORE := .venv-core/bin/python
 # Files of these folders that need what learns or draws.
-NOT_CORE := $(addprefix --ignore=tests/envs/,test_compiling.py views/test_reset_arguments.py \
+NOT_CORE := $(addprefix --ignore=tests/envs/,test_compiling.py \
 	views/test_view_specs.py worlds/test_executed_actions.py worlds/test_flock.py \
 	worlds/test_plume.py worlds/test_senses.py)
 EXPORT := uv export -q --format requirements-txt --no-emit-project --no-header --no-annotate

@@ -50,8 +50,15 @@ from animarl_envs.importing.readers import read
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import toys
-from confounded import NO_MOMENTUM, SETTINGS, SETTLED, flip_behaviour, read_condition
-from treatment_probe import probe_balanced_accuracy, share_of_variance
+from confounded import (
+    NO_MOMENTUM,
+    SETTINGS,
+    SETTLED,
+    flip_behaviour,
+    probe_balanced_accuracy,
+    read_condition,
+    share_of_variance,
+)
 
 app = typer.Typer(help=__doc__.split("\n", 1)[0], add_completion=False)
 Figures = dict[str, float]

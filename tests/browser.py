@@ -38,3 +38,11 @@ def chromium() -> Iterator[Any]:
             yield browser
         finally:
             browser.close()
+
+
+def listen(page: Any, said: list[str]) -> Any:
+    """The page, whose console, errors and requests to the network are put into ``said``."""
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda one: said.append(one.url) if one.url.startswith("http") else None)
+    return page

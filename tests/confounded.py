@@ -1,4 +1,7 @@
-"""Learners of :class:`toys.Confounded`: their settings, and what they make of the condition."""
+"""Learners of :class:`toys.Confounded`: their settings, and what they make of the condition.
+
+Below: can the condition be read from features? A classifier fitted anew, while the features stay.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,25 +10,20 @@ import numpy as np
 import torch
 import toys
 from stable_baselines3.common.utils import LinearSchedule
+from torch import nn
 from torch.nn import functional
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.acting_rule import Acting
+from animarl_algos.networks.networks import TREATMENT_UNITS
 
 SETTINGS: dict[str, Any] = {
-    "learning_rate": 3e-3,
-    "gamma": 0.0,
-    "lambda1": 3e-4,
-    "lambda2": 0.3,
-    "buffer_size": 5000,
-    "target_update_interval": (100, "episode"),
-    "updates_per_episode": 0.8,
-    "exploration_initial_eps": 1.0,
-    "exploration_final_eps": 0.5,
-    "exploration_steps": 4000,
+    "learning_rate": 3e-3, "gamma": 0.0, "lambda1": 3e-4, "lambda2": 0.3, "buffer_size": 5000,
+    "target_update_interval": (100, "episode"), "updates_per_episode": 0.8,
+    "exploration_initial_eps": 1.0, "exploration_final_eps": 0.5, "exploration_steps": 4000,
     "device": "cpu",
-}
+}  # fmt: skip
 NO_MOMENTUM = {"policy_kwargs": {"optimizer_kwargs": {"betas": (0.0, 0.9)}}}
 SETTLED = NO_MOMENTUM | {"learning_rate": LinearSchedule(SETTINGS["learning_rate"], 0.0, 1.0)}
 """Under which the treatment head and the encoder stop chasing each other."""
@@ -86,3 +84,52 @@ def flip_behaviour(model: SequenceQLearning) -> tuple[float, float]:
     counterfactual, _ = model.predict(flipped, deterministic=True)
     right = (factual == env.condition).mean()
     return float(right), float((counterfactual == 1 - env.condition).mean())
+
+
+SMALLEST_SCALE = 1e-3
+"""Units that vary by less are not blown up to unit variance."""
+
+
+def probe_balanced_accuracy(
+    train: tuple[torch.Tensor, torch.Tensor],
+    test: tuple[torch.Tensor, torch.Tensor],
+    *,
+    updates: int = 300,
+    seed: int = 0,
+) -> float:
+    """Balanced accuracy on ``test`` of a probe fitted to ``train``; 0.5 is chance.
+
+    The probe is a treatment head (two layers, 8 units) on standardised features, fitted by Adam to
+    the whole training set at once, without an opponent. Both sets are features ``(N, H)`` and
+    conditions ``(N,)``.
+    """
+    features, condition = train
+    centre, scale = features.mean(0), features.std(0).clamp(min=SMALLEST_SCALE)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        probe = nn.Sequential(
+            nn.Linear(features.shape[1], TREATMENT_UNITS), nn.ReLU(), nn.Linear(TREATMENT_UNITS, 1)
+        )
+    optimizer = torch.optim.Adam(probe.parameters(), lr=1e-2)
+    share = condition.float().mean().item()
+    weight = torch.where(condition > 0, 0.5 / share, 0.5 / (1.0 - share))  # as balanced accuracy
+    for _ in range(updates):
+        logits = probe((features - centre) / scale)[:, 0]
+        loss = functional.binary_cross_entropy_with_logits(logits, condition.float(), weight)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    features, condition = test
+    with torch.no_grad():
+        logits = probe((features - centre) / scale)[:, 0].view(1, 1, -1)
+    everywhere = torch.ones_like(logits, dtype=torch.bool)
+    return float(mean_recall(treatment_counts(logits, condition.view(1, -1), everywhere)))
+
+
+def share_of_variance(features: torch.Tensor, condition: torch.Tensor) -> float:
+    """How much of the variance of features ``(N, H)`` lies between the means of the conditions."""
+    treated, other = features[condition > 0], features[condition <= 0]
+    weight = len(treated) * len(other) / len(features) ** 2
+    between = weight * (treated.mean(0) - other.mean(0)).square().sum()
+    total = features.var(0, correction=0).sum()
+    return float(between / total) if total > 0 else 0.0

@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
+from recordings import episodes_along
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TIME_OUT, Demonstrations
 
 STARTS = 30
-MADE = {"source": "made by the test", "licence": "none", "synthetic": True}
 ARENA = Arena("square", 1.0, 1.1)
 
 
@@ -33,20 +33,6 @@ def pair_path(rng: np.random.Generator, start: np.ndarray, kind: str) -> np.ndar
     return np.stack(path)
 
 
-def demonstrations_of(paths: list[np.ndarray], **more: Any) -> Demonstrations:
-    """Test episodes of two predators and a prey, or of others, along given paths."""
-    count, num = len(paths), paths[0].shape[1]
-    given: dict[str, Any] = {
-        "species": "agent", "individuals": ("predator_0", "predator_1", "prey"),
-        "roles": ("pursuer", "pursuer", "target"), "dt": 0.1, "arena": Arena(),
-        "positions": np.concatenate(paths), "lengths": [len(path) for path in paths],
-        "initial_velocity": np.zeros((count, num, 2)), "condition": np.zeros(count),
-        "outcome": np.zeros(count), "split": np.full(count, "test"),
-        "recording": np.array([f"r{i}" for i in range(count)]), "provenance": MADE,
-    }  # fmt: skip
-    return Demonstrations(**given | more)
-
-
 def rollouts_along(
     paths: list[np.ndarray], demos: Demonstrations, demo: Any, **more: Any
 ) -> Rollouts:
@@ -65,7 +51,7 @@ def recorded_pairs(seed: int = 0) -> Demonstrations:
     rng = np.random.default_rng(seed)
     paths = [pair_path(rng, rng.uniform(-0.8, 0.8, (2, 2)), "true") for _ in range(STARTS)]
     ends = [1 if len(path) < 50 else TIME_OUT for path in paths]
-    return demonstrations_of(
+    return episodes_along(
         paths, species="custom", individuals=("male", "female"), roles=("pursuer", "target"),
         arena=ARENA, outcome=ends,
     )  # fmt: skip

@@ -19,25 +19,15 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.replay.store import SequenceBatch
 
 SETTINGS: dict[str, Any] = {
-    "learning_rate": 1e-3,
-    "buffer_size": 2000,
-    "batch_size": 4,
-    "target_update_interval": (5, "episode"),
-    "exploration_steps": 200,
-    "exploration_initial_eps": 0.5,
-    "exploration_final_eps": 0.3,
-    "offline_batch_size": 8,
-    "offline_gamma": 0.99,
-    "offline_alpha": 10.0,
-    "offline_scaled_penalties": False,
-    "offline_loss": "recipe",
-    "exploration": "epsilon",
-    "offline_kwargs": None,
+    "learning_rate": 1e-3, "buffer_size": 2000, "batch_size": 4,
+    "target_update_interval": (5, "episode"), "exploration_steps": 200,
+    "exploration_initial_eps": 0.5, "exploration_final_eps": 0.3, "offline_batch_size": 8,
+    "offline_gamma": 0.99, "offline_alpha": 10.0, "offline_scaled_penalties": False,
+    "offline_loss": "recipe", "exploration": "epsilon", "offline_kwargs": None,
     "offline_patience": None,
-    "policy_kwargs": {"hidden": 8, "depth": 2, "head_layers": 1, "dropout": 0.0},
-    "seed": 3,
+    "policy_kwargs": {"hidden": 8, "depth": 2, "head_layers": 1, "dropout": 0.0}, "seed": 3,
     "device": "cpu",
-}
+}  # fmt: skip
 INVERSE: dict[str, Any] = {
     "exploration": "boltzmann",
     "train_freq": (6, "step"),

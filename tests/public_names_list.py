@@ -7,27 +7,21 @@ import ast
 import re
 import shlex
 from importlib import import_module
-from pathlib import Path
 
-ROOT = next(p for p in Path(__file__).resolve().parents if (p / "pyproject.toml").exists())
+import pages
+from pages import ROOT
+
 FRONT_DOORS = ("animarl_envs", "animarl_envs.views", "animarl_envs.wrappers", "animarl_algos")
-
-
-def pages() -> list[str]:
-    """Text of the README and of all pages."""
-    folders = ("docs", "docs/data", "docs/environments", "docs/results")
-    files = [path for folder in folders for path in sorted((ROOT / folder).glob("*.md"))]
-    return [path.read_text() for path in (ROOT / "README.md", *files)]
 
 
 def blocks(*languages: str) -> list[str]:
     """Code blocks of some languages on all pages; a block without a language has an empty one."""
+    folders = ("docs", "docs/data", "docs/environments", "docs/results")
+    files = [path for folder in folders for path in sorted((ROOT / folder).glob("*.md"))]
     return [
-        block
-        for text in pages()
-        for language, block in re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-        if language in languages
-    ]
+        block for page in (ROOT / "README.md", *files) for kind in languages
+        for block in pages.blocks(str(page), kind)
+    ]  # fmt: skip
 
 
 def imported_names() -> set[str]:

@@ -33,6 +33,20 @@ def write_tracks(path: Path, bodies: NDArray[np.float64], names: Sequence[str]) 
     return path
 
 
+def episodes_along(paths: Sequence[NDArray[np.float64]], **more: Any) -> Demonstrations:
+    """Test episodes of two predators and a prey, or of others, along given paths."""
+    count, num = len(paths), paths[0].shape[1]
+    given: dict[str, Any] = {
+        "species": "agent", "individuals": ("predator_0", "predator_1", "prey"),
+        "roles": ("pursuer", "pursuer", "target"), "dt": 0.1, "arena": Arena(),
+        "positions": np.concatenate(paths), "lengths": [len(path) for path in paths],
+        "initial_velocity": np.zeros((count, num, 2)), "condition": np.zeros(count),
+        "outcome": np.zeros(count), "split": np.full(count, "test"),
+        "recording": np.array([f"r{i}" for i in range(count)]), "provenance": SYNTHETIC,
+    }  # fmt: skip
+    return Demonstrations(**given | more)
+
+
 def scripted_chase(
     species: ChaseSpecies, lengths: NDArray[np.int64], **what: Any
 ) -> Demonstrations:
@@ -110,11 +124,10 @@ def _walks(species: str, name: str, dt: float, episodes: int, size: float) -> De
     rng = np.random.default_rng(0)
     steps = 0.002 * rng.standard_normal((episodes, 40, 1, 2)) + [-0.004, 0.0]
     positions = np.array([0.3, 0.0]) + np.cumsum(steps, axis=1)
-    return Demonstrations(
-        species=species, individuals=(name,), roles=("searcher",), dt=dt,
-        arena=Arena("open", size=size), positions=positions.reshape(-1, 1, 2),
-        lengths=np.full(episodes, 40), initial_velocity=steps[:, 0] / dt,
+    return episodes_along(
+        list(positions), species=species, individuals=(name,), roles=("searcher",), dt=dt,
+        arena=Arena("open", size=size), initial_velocity=steps[:, 0] / dt,
         condition=np.arange(episodes) % 2, outcome=np.full(episodes, TIME_OUT),
         split=np.resize(["train", "val", "test"] if episodes == 3 else SPLITS, episodes),
-        recording=np.array([f"run {e}" for e in range(episodes)]), provenance=SYNTHETIC,
+        recording=np.array([f"run {e}" for e in range(episodes)]),
     )  # fmt: skip

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from moving_pairs import rollouts_along
+from recordings import episodes_along
 
 from animarl_algos.evaluation import Answers, Asked, Rollouts, cue_effects, evaluate
 from animarl_algos.evaluation.metrics import measure
@@ -12,11 +14,14 @@ from animarl_algos.report import ReportInputs
 from animarl_algos.report.counterfactual_page import CounterfactualInputs, counterfactual_page
 from animarl_algos.report.run_page import run_page
 from animarl_algos.runs.inspecting import Decisions, Inspected, episode_page
-from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.species import AGENT
 
 HOSTILE = '<script>alert("x")</script> & $\\frac{a}$'
+MADE: dict[str, Any] = {
+    "environment": {"time_limit": 20, "arena": None}, "wall_time": {"training DQDIL": 150.0},
+    "machine": {"commit": "0123456789abcdef", "processor": "Some processor"},
+}  # fmt: skip
 
 
 def walk(rng: np.random.Generator, frames: int) -> np.ndarray:
@@ -28,21 +33,11 @@ def make_demos(
 ) -> Demonstrations:
     rng = np.random.default_rng(0)
     lengths = rng.integers(8, 20, 12)
-    return Demonstrations(
-        species="agent",
-        individuals=individuals,
-        roles=("pursuer", "pursuer", "target"),
-        dt=0.1,
-        arena=Arena(),
-        positions=np.concatenate([walk(rng, n) for n in lengths]),
-        lengths=lengths,
-        initial_velocity=np.zeros((12, 3, 2)),
-        condition=np.repeat([0, 1], 6),
+    return episodes_along(
+        [walk(rng, n) for n in lengths], individuals=individuals, condition=np.repeat([0, 1], 6),
         outcome=np.tile([1, 0, 2], 4),
-        split=np.array(["test"] * 12),
-        recording=np.array([f"r{i}" for i in range(12)]),
         provenance={"source": HOSTILE, "licence": "MIT", "synthetic": True, "made": {"seed": 1}},
-    )
+    )  # fmt: skip
 
 
 def make_rollouts(demos: Demonstrations, method: str, flipped: bool = False) -> Rollouts:
@@ -53,20 +48,11 @@ def make_rollouts(demos: Demonstrations, method: str, flipped: bool = False) -> 
     cue = np.full(len(demo), -1)
     if flipped:
         cue = np.where(np.arange(len(demo)) < 24, condition, 1 - condition)
-    return Rollouts(
-        method=method,
-        individuals=demos.individuals,
-        roles=demos.roles,
-        dt=0.1,
-        positions=np.concatenate([walk(rng, n) for n in lengths]),
-        lengths=lengths,
-        outcome=rng.integers(0, 2, len(demo)),
-        condition=condition,
-        cue=cue,
-        demo=demo,
-        seed=np.tile(np.repeat([0, 1], 12), 2),
+    return rollouts_along(
+        [walk(rng, n) for n in lengths], demos, demo, method=method, cue=cue,
+        outcome=rng.integers(0, 2, len(demo)), seed=np.tile(np.repeat([0, 1], 12), 2),
         repetition=np.repeat([0, 1], 24),
-    )
+    )  # fmt: skip
 
 
 @cache
@@ -90,9 +76,7 @@ def report_inputs() -> ReportInputs:
         command="animarl run demos.npz --algo dqdil",
         created="2026-11-21",
         episodes={"train": 80, "val": 10, "test": 12},
-        environment={"time_limit": 20, "arena": None},
-        machine={"commit": "0123456789abcdef", "processor": "Some processor"},
-        wall_time={"training DQDIL": 150.0},
+        **MADE,
     )
 
 
@@ -137,9 +121,7 @@ def asked_page() -> str:
             effects=cue_effects(everything, demos, teams=teams, planned=(0, 1), resamples=100),
             seeds={"DQCIL": (0, 1)},
             world={"arena": "square"},
-            environment={"time_limit": 20, "arena": None},
-            machine={"commit": "0123456789abcdef", "processor": "Some processor"},
-            wall_time={"training DQCIL": 150.0},
+            **MADE,
             settings={"DQCIL": {"alpha": 1.0}},
             versions={"torch": "2.13.0"},
             command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
@@ -172,9 +154,7 @@ def inspected_page() -> str:
             ),
             metrics=pd.concat([measure(r, demos) for r in everything.values()], ignore_index=True),
             world={"arena": "square"},
-            environment={"time_limit": 20, "arena": None},
-            machine={"commit": "0123456789abcdef", "processor": "Some processor"},
-            wall_time={"training DQDIL": 150.0},
+            **MADE,
             versions={"animarl": "0.1.0", "torch": "2.13.0"},
             command="animarl inspect runs/dqdil-0 --episode 3",
         )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from recordings import episodes_along
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
@@ -73,13 +74,10 @@ def walk(
     frames[jumping] += rng.uniform(-0.5, 0.5, (int(jumping.sum()), 2))
     actions = np.stack([*taken, np.full((episodes, 3), -1)], axis=1).reshape(-1, 3)
     recording = np.array([f"r{i:03d}" for i in range(episodes)])
-    demos = Demonstrations(
-        species="custom", individuals=("a", "b", "c"), roles=ROLES, dt=DT, arena=Arena("open"),
-        positions=frames, lengths=np.full(episodes, steps + 1),
-        initial_velocity=np.zeros((episodes, 3, 2)), condition=np.zeros(episodes, np.int8),
-        outcome=np.zeros(episodes, np.int8), split=assign_splits(recording, 0), recording=recording,
-        provenance={"source": "test", "licence": "none", "synthetic": True},
-    )  # fmt: skip
+    split = {"recording": recording, "split": assign_splits(recording, 0)}
+    paths = np.split(frames, episodes)
+    names = ("a", "b", "c")
+    demos = episodes_along(paths, species="custom", individuals=names, arena=Arena("open"), **split)
     return demos, actions
 
 

@@ -3,11 +3,10 @@
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from pages import python
 
 import animarl_algos
 from animarl_envs.compiling import _folder, _kernel_sources, source_key
@@ -42,10 +41,7 @@ def run_kernel(copied: Path, **environment: str) -> tuple[float, int, str]:
         "print(after(1.0), sum(after.stats.cache_hits.values()))"
     )
     kept = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=copied, capture_output=True, text=True, check=True,
-        env=kept | {"PYTHONPATH": str(copied)} | environment,
-    )  # fmt: skip
+    done = python(program, cwd=copied, env=kept | {"PYTHONPATH": str(copied)} | environment)
     value, hits = done.stdout.split()
     return float(value), int(hits), done.stderr
 
@@ -141,10 +137,8 @@ env.step(0)
 
 
 def test_the_first_step_compiles_once_and_only_what_the_species_has(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", FIRST_STEP], capture_output=True, text=True, check=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)},
-    )  # fmt: skip
+    folders = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = python(FIRST_STEP, env=os.environ | folders)
     compiled = done.stdout.split()
     assert {"_begin", "start", "advance", "judge", "look"} <= set(compiled)
     assert [compiled.count(name) for name in ("_begin", "start", "advance")] == [1, 1, 1]

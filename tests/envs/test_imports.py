@@ -3,11 +3,10 @@
 import copy
 import json
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from pages import python
 
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError, MissingExtraError, UnknownOptionError
@@ -44,11 +43,8 @@ gym.make("AnimaRL/Custom-v0", demos=sys.argv[1]).reset(seed=0)
 def loaded_after(program: str, *arguments: str) -> set[str]:
     """Modules of heavy packages that a fresh interpreter has loaded after a program."""
     report = "\nimport json, sys; print(json.dumps(list(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", program + report, *arguments],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return {m for m in json.loads(done.stdout) if m.partition(".")[0] in HEAVY}
+    loaded = json.loads(python(program + report, *arguments).stdout)
+    return {m for m in loaded if m.partition(".")[0] in HEAVY}
 
 
 def but_numba(modules: set[str]) -> set[str]:
@@ -99,19 +95,12 @@ def test_a_missing_extra_is_named_in_a_sentence(need: str, tmp_path: Path) -> No
         pytest.importorskip("sleap_io")  # or its extra would be named
     (tmp_path / "tracks.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     program = f"{WITHOUT}\ntry:\n    {NEEDS[need]}\nexcept MissingExtraError as e:\n    print(e)"
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path / "tracks.h5")],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.count("\n") == 1
-    assert f"pip install 'animarl[{need.strip()}]'" in done.stdout
+    said = python(program, tmp_path / "tracks.h5").stdout
+    assert said.count("\n") == 1 and f"pip install 'animarl[{need.strip()}]'" in said
 
 
 def test_the_command_line_without_its_extra_says_so() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", f"{WITHOUT}\nfrom animarl_algos.cli.main import main; main()"],
-        capture_output=True, text=True,
-    )  # fmt: skip
+    done = python(f"{WITHOUT}\nfrom animarl_algos.cli.main import main; main()", check=False)
     assert done.returncode == 2
     assert done.stderr == (
         "animarl: the command line needs the extra 'cli': pip install 'animarl[cli]'\n"

@@ -1,4 +1,4 @@
-"""The equation of motion and its inverse, by known answers."""
+"""The equation of motion, its inverse, and walls, by known answers."""
 
 import dataclasses
 import math
@@ -6,8 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
 from refusals import refuses
 
+from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.kinematics import rebound
 from animarl_envs.locomotion import (
     ACTION_ANGLES,
     ACTION_VECTORS,
@@ -75,18 +78,27 @@ def test_speeds_under_constant_thrust() -> None:
 
 
 @pytest.mark.parametrize(
-    ("damping", "thrust", "said"),
+    ("numbers", "said"),
     [
-        (-0.01, 1.0, "damping is -0.01"),
-        (1.01, 1.0, "damping is 1.01"),
-        (math.nan, 1.0, "damping is nan"),
-        (0.5, 0.0, "thrust is 0.0"),
-        (0.5, math.inf, "thrust is inf"),
-        (0.5, math.nan, "thrust is nan"),
+        ((-0.01, 1.0), "damping is -0.01"),
+        ((1.01, 1.0), "damping is 1.01"),
+        ((math.nan, 1.0), "damping is nan"),
+        ((0.5, 0.0), "thrust is 0.0"),
+        ((0.5, math.inf), "thrust is inf"),
+        ((0.5, math.nan), "thrust is nan"),
+        *(
+            ((0.5, 1.0, magnitudes), "give 1 to 10")
+            for magnitudes in ((), tuple(range(11, 0, -1)), "21", 2.0, (2.0, "1"))
+        ),
+        *(
+            ((0.5, 1.0, magnitudes), "the largest first")
+            for magnitudes in ((2.0, 2.0), (1.0, 2.0), (1.0, 0.0), (1.0, -0.5), (math.inf, 1.0))
+        ),
+        ((0.5, 1.0, (math.nan,)), "give 1 to 10|the largest first"),
     ],
 )
-def test_impossible_parameters_are_refused(damping: float, thrust: float, said: str) -> None:
-    refuses(said, Locomotion, damping, thrust)
+def test_impossible_numbers_are_refused(numbers: tuple[Any, ...], said: str) -> None:
+    refuses(said, Locomotion, *numbers)
     assert Locomotion(0.0, 1e-9) != Locomotion(1.0, 1e-9)
 
 
@@ -114,26 +126,74 @@ def test_parameters_and_action_vectors_cannot_be_changed() -> None:
         OWN.action_vectors[0] = 0.0
 
 
-@pytest.mark.parametrize(
-    ("magnitudes", "said"),
-    [
-        ((), "give 1 to 10"),
-        (tuple(range(11, 0, -1)), "give 1 to 10"),
-        ("21", "give 1 to 10"),
-        (2.0, "give 1 to 10"),
-        ((2.0, "1"), "give 1 to 10"),
-        ((2.0, 2.0), "the largest first"),
-        ((1.0, 2.0), "the largest first"),
-        ((1.0, 0.0), "the largest first"),
-        ((1.0, -0.5), "the largest first"),
-        ((math.inf, 1.0), "the largest first"),
-        ((math.nan,), "give 1 to 10|the largest first"),
-    ],
-)
-def test_impossible_magnitudes_are_refused(magnitudes: Any, said: str) -> None:
-    refuses(said, Locomotion, 0.5, 1.0, magnitudes)
-
-
 def test_magnitudes_may_be_ten_and_an_array() -> None:
     ten = Locomotion(0.5, 1.0, np.arange(10, 0, -1))  # type: ignore[arg-type]
     assert ten.magnitudes == tuple(range(10, 0, -1)) and ten.num_actions == 121
+
+
+SQUARE, DISC, OPEN = (SHAPE_CODES[name] for name in ("square", "disc", "open"))
+SIZE = 2.0
+
+
+def held(
+    shape: int, position: ArrayLike, velocity: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What walls make of positions and velocities ``(individuals, copies, 2)``."""
+    given = (np.array(a, dtype=np.float64).transpose(0, 2, 1).copy() for a in (position, velocity))
+    places, speeds = given
+    rebound((shape, SIZE, 9.0), places, speeds)
+    return places.transpose(0, 2, 1), speeds.transpose(0, 2, 1)
+
+
+INSIDE = [[[0.0, 0.0], [1.2, -1.3]], [[-1.99, 0.0], [0.0, 1.99]]]
+MOVING = [[[3.0, -4.0], [1.0, -1.0]], [[-5.0, 0.5], [0.5, 5.0]]]
+FAR, ON_DISC = [[[50.0, -50.0]]], [[[2.0, 0.0], [0.0, -2.0]]]
+SLOW, OUT = [[[0.1, -0.1], [-0.1, 0.1]]], [[[1.0, 0.5], [0.5, -1.0]]]
+CORNERS, BACK = [[[2.0, -2.0], [2.0, -2.0]]], [[[1.0, -1.0], [-0.7, 0.7]]]
+BY_HAND: dict[str, tuple[Any, ...]] = {
+    "in a square": (SQUARE, INSIDE, MOVING, INSIDE, MOVING),
+    "in a disc": (DISC, INSIDE, MOVING, INSIDE, MOVING),
+    "in the open": (OPEN, INSIDE, MOVING, INSIDE, MOVING),
+    "far in the open": (OPEN, FAR, [[[1.0, -1.0]]], FAR, [[[1.0, -1.0]]]),
+    "a straight wall holds each axis by itself": (
+        SQUARE,
+        [[[2.5, 1.0], [-2.5, -1.0], [0.3, 7.0], [-3.0, -3.0]]],
+        [[[1.0, 0.5], [-1.0, 0.5], [-0.2, 0.4], [-1.0, -2.0]]],
+        [[[2.0, 1.0], [-2.0, -1.0], [0.3, 2.0], [-2.0, -2.0]]],
+        [[[0.0, 0.5], [0.0, 0.5], [-0.2, 0.0], [0.0, 0.0]]],
+    ),
+    "slow ones are judged as fast ones are": (
+        SQUARE, [[[2.1, -2.1], [2.1, -2.1]]], SLOW, CORNERS, [[[0.0, 0.0], [-0.1, 0.1]]],
+    ),
+    "on a round wall is not beyond it": (DISC, ON_DISC, OUT, ON_DISC, OUT),
+    "on a straight wall neither, and who moves back inside keeps the velocity": (
+        SQUARE, [[[2.0, -2.0], [2.5, -2.5]]], BACK, CORNERS, BACK,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BY_HAND)
+def test_walls_hold_by_hand(case: str) -> None:
+    shape, position, velocity, places, speeds = BY_HAND[case]
+    found = held(shape, position, velocity)
+    assert (found[0].tolist(), found[1].tolist()) == (places, speeds)
+
+
+def test_a_round_wall_takes_the_outward_velocity_alone() -> None:
+    """Beyond the wall in the direction (0.6, 0.8), whose tangent is (-0.8, 0.6)."""
+    out, along = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    velocity = [[3.0 * out + 2.0 * along, -3.0 * out + 2.0 * along, -1.0 * along]]
+    places, speeds = held(DISC, [[2.5 * out, 2.5 * out, 4.0 * out]], velocity)
+    np.testing.assert_allclose(places[0], [2.0 * out] * 3, rtol=1e-9)
+    np.testing.assert_allclose(
+        speeds[0], [2.0 * along, -3.0 * out + 2.0 * along, -1.0 * along], atol=1e-12
+    )
+
+
+def test_nobody_held_by_a_round_wall_counts_as_beyond_it() -> None:
+    angle = np.linspace(0, 2 * np.pi, 500)
+    outside = 2.0000001 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[None]
+    places, _ = held(DISC, outside, np.zeros_like(outside))
+    radius = np.hypot(places[..., 0], places[..., 1])
+    assert (radius <= 2.0).all()
+    np.testing.assert_allclose(radius, 2.0, rtol=1e-9)

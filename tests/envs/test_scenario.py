@@ -38,15 +38,6 @@ def test_a_factor_scales_the_thrust_of_one_individual_only() -> None:
     assert species.locomotion[2].damping == AGENT.locomotion[2].damping
 
 
-def test_only_the_chosen_split_is_handed_out() -> None:
-    whole = load_packaged("agent")
-    for split in ("train", "test"):
-        demos = make_scenario("agent", split=split).demos
-        assert demos is not None
-        assert set(demos.split.tolist()) == {split}
-        assert len(demos) == int((whole.split == split).sum())
-
-
 def test_more_of_ones_own_pursuers_than_recorded_start_anywhere() -> None:
     """Own data has no ``demos=None``: the species is made from it all the same."""
     without = make_scenario("agent", num_pursuers=5, demos=None)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from pages import python
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -118,9 +119,7 @@ def test_animals_are_watched_without_what_learns(tmp_path: Path, more: tuple[str
     assert {"torch", "stable_baselines3", "scipy", "pandas"} <= absent
     script = WATCHED.replace("{absent}", repr(absent))
     clip = tmp_path / "clip.gif"
-    command = (sys.executable, "-c", script, "watch", *more, "--steps", "3", "--out", str(clip))
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    python(script, "watch", *more, "--steps", "3", "--out", clip, cwd=ROOT)
     assert clip.stat().st_size > 0
 
 

@@ -1,7 +1,7 @@
 """Every command on every page is understood by its program, and every Python program runs.
 
 What takes more than seconds is parsed: its options and values exist. The rest is run, on the pages
-on data by ``test_import_pages.py``, the tutorial's by ``test_tutorial.py``, others below.
+on data by ``test_import_pages.py``, the tutorial's by ``test_program_pages.py``, others below.
 """
 
 import argparse
@@ -38,7 +38,7 @@ RUN_BY = {
     "docs/data/readers.md": "tests/envs/importing/test_import_pages.py",
     "docs/faithful.md": "tests/envs/fitting/test_recorded_headings.py",
     "docs/learners.md": "tests/project/test_program_pages.py",
-    "docs/tutorial.md": "tests/public/test_tutorial.py",
+    "docs/tutorial.md": "tests/project/test_program_pages.py",
     "docs/what_if.md": "tests/algos/runs/test_run.py",
 }
 

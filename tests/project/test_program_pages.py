@@ -1,14 +1,16 @@
-"""README.md and the pages for contributors and of learners: their programs run as they stand."""
+"""README.md, the tutorial, pages for contributors and of learners: they run as they stand."""
 
 import os
 import re
 import runpy
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from commands import animarl
 from pages import ROOT, blocks, run_programs
 
 from animarl_algos.learner.presets import learner_preset
@@ -126,3 +128,25 @@ def test_the_defaults_are_those_of_the_files() -> None:
     for begin, table in (("BEGIN", "table"), ("BEGIN_OFFLINE", "offline_table")):
         _, shown = LEARNERS.split(make[begin])
         assert shown.split(make["END"])[0].strip() == make[table]().strip()
+
+
+def commands() -> list[list[str]]:
+    return [
+        shlex.split(line) for block in blocks("docs/tutorial.md", "") for line in block.splitlines()
+    ]
+
+
+def test_every_command_is_shown() -> None:
+    names = [words[1] for words in commands()]
+    assert names == ["data", "run", "run", "run", "run", "evaluate", "counterfactual", "inspect"]
+    assert all(words[0] == "animarl" for words in commands())
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in commands():
+        animarl(*words[1:])
+        if "--out" in words:
+            assert (Path(words[words.index("--out") + 1]) / "report.html").exists()
+    assert len(run_programs("docs/tutorial.md")["table"]) > 0

@@ -1,32 +1,19 @@
 """The examples run, in every library that the documentation names."""
 
-import importlib.util
 import math
 import os
 import re
 import subprocess
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from pages import load_script
 
 ROOT = Path(__file__).parents[2]
 
 
-def load(path: Path) -> ModuleType:
-    """A script as a module."""
-    spec = importlib.util.spec_from_file_location(f"script_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look it up
-    spec.loader.exec_module(module)
-    return module
-
-
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-PAGE = load(ROOT / "docs" / "make_clients_page.py")
+PAGE = load_script(ROOT / "docs" / "make_clients_page.py")
 CLIENTS = PAGE.CLIENTS
 OWN = {client.name: client for client in CLIENTS if client.own}
 OPTIONAL = {"torchrl_env": "torchrl", "tianshou_env": "tianshou"}
@@ -38,7 +25,7 @@ HERE = [path for path in EXAMPLES if path.stem not in (*OWN, "more_libraries")]
 def test_example_runs_and_gives_a_number(path, capsys):
     if path.stem in OPTIONAL:
         pytest.importorskip(OPTIONAL[path.stem])
-    result = load(path).main(["--steps", "400", "--seed", "1"])
+    result = load_script(path).main(["--steps", "400", "--seed", "1"])
     numbers = result if isinstance(result, tuple) else (result,)
     assert all(math.isfinite(number) for number in numbers)
     assert "400 steps" in capsys.readouterr().out
@@ -46,7 +33,9 @@ def test_example_runs_and_gives_a_number(path, capsys):
 
 @pytest.mark.filterwarnings("ignore")
 def test_frames_are_skipped_by_supersuit():
-    said = load(ROOT / "examples" / "more_libraries.py").main(["supersuit", "--steps", "400"])
+    said = load_script(ROOT / "examples" / "more_libraries.py").main(
+        ["supersuit", "--steps", "400"]
+    )
     episodes = int(said.split()[0])
     assert episodes > 0
 
@@ -67,7 +56,7 @@ def test_clients_of_other_versions_run_in_environments_of_their_own(name, tmp_pa
 
 @pytest.mark.filterwarnings("ignore")
 def test_time_outs_are_stored_as_time_outs():
-    example = load(ROOT / "examples" / "pettingzoo_supersuit_sb3.py")
+    example = load_script(ROOT / "examples" / "pettingzoo_supersuit_sb3.py")
     time_outs, ends = example.main(["--steps", "1500", "--copies", "1", "--seed", "0"])
     assert time_outs > 0
     assert time_outs < ends  # others end by contact or at the boundary

@@ -2,14 +2,13 @@
 
 import json
 import re
-import subprocess
-import sys
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 from commands import animarl
+from pages import python
 from public_names_list import public_names
 
 import animarl_algos
@@ -26,10 +25,7 @@ print(json.dumps(sorted(heavy & set(sys.modules))))
 
 
 def test_importing_the_learners_loads_nothing() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout) == []
+    assert json.loads(python(LOADED).stdout) == []
 
 
 @pytest.mark.parametrize("name", animarl_algos.__all__)

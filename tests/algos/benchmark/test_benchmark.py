@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,9 @@ from typing import Any
 import pandas as pd
 import pytest
 from commands import Done as Ended
+from commands import refused, succeeded
 from filelock import FileLock
+from refusals import refuses
 
 from animarl_algos.benchmark import pieces
 from animarl_algos.benchmark.leaderboard import write_leaderboard
@@ -30,7 +32,6 @@ from animarl_algos.benchmark.matrix import (
     read_matrix,
 )
 from animarl_algos.benchmark.pieces import LOCK, Done, Piece, Watch, Workers, attempt, perform_all
-from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -227,8 +228,7 @@ def test_benchmark_only_takes_rows_and_cells() -> None:
     assert [c.name for c in asked.only(["agent/still"]).cells] == ["agent/still/0"]
     one = asked.only(["*/soft-bc/1"])
     assert [c.name for c in one.cells] == ["agent/soft-bc/1"] and not one.scorings
-    with pytest.raises(InputError, match="no cell is called so"):
-        asked.only(["fly/still"])
+    refuses("no cell is called so", asked.only, ["fly/still"])
 
 
 def test_benchmark_presets_can_be_read() -> None:
@@ -270,32 +270,30 @@ def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
         ({"files": {"agent": "x.npz"}}, "no packaged species"),
         ({"files": {"mine": 3}}, "files of mine is 3"),
         ({"acting": 0.5}, "acting is 0.5"),
+        ({"folds": {"mice": 6}}, "folds names 'mice': choose among agent"),
+        ({"folds": {"agent": 6}}, "folds need all episodes"),
+        ({"folds": {"agent": "six"}, "episodes": {}}, "folds of agent is 'six'"),
     ],
 )
 def test_benchmark_refuses_a_wrong_matrix(changed: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        tiny(**changed)
+    refuses(said, tiny, **changed)
 
 
 def test_benchmark_refuses_unknown_keys_and_settings(tmp_path: Path) -> None:
     file = tmp_path / "own.yml"
     file.write_text("species: [agent]\nlearners: [dqn]\n")
-    with pytest.raises(InputError, match="'learners' is unknown"):
-        read_matrix("smoke", file)
-    with pytest.raises(InputError, match="preset 'huge' is unknown"):
-        read_matrix("huge")
-    with pytest.raises(InputError, match="setting 'learning_speed'"):
-        plan(tiny(settings={"soft-bc": {"learning_speed": 1}}))
+    refuses("'learners' is unknown", read_matrix, "smoke", file)
+    refuses("preset 'huge' is unknown", read_matrix, "huge")
+    refuses("setting 'learning_speed'", plan, tiny(settings={"soft-bc": {"learning_speed": 1}}))
     with pytest.raises(InputError, match="needs two experimental conditions"):
         plan(tiny(species=["fly"], recipes=["dqcil"], settings={}))
-    with pytest.raises(InputError, match="nothing to do: name recipes or references"):
-        plan(tiny(recipes=[], references=[]))
+    refuses("nothing to do: name recipes or references", plan, tiny(recipes=[], references=[]))
     nothing = plan(tiny(recipes=[], references=[]), {"bad": "test_benchmark_methods:make_raising"})
     assert [cell.name for cell in nothing.cells] == ["agent/bad/0", "agent/bad/1"]
 
 
 def test_benchmark_names_the_file_of_refused_settings(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    animarl: Callable[..., Ended], tmp_path: Path
 ) -> None:
     file = tmp_path / "own.yml"
     for text, said in (
@@ -307,18 +305,17 @@ def test_benchmark_names_the_file_of_refused_settings(
         ("recipes: [bc]\nseeds: [0]\nrecipes: [dqn]", "line 4: key 'recipes' was given in line 2"),
     ):
         file.write_text(f"species: [agent]\n{text}\n")
-        refused = said_by(["--config", str(file), "--list"], monkeypatch, capsys)
-        assert refused.returncode == 2 and f"{file}: {said}" in refused.stderr, refused
+        refused(animarl("benchmark", "--config", file, "--list"), f"{file}: {said}")
 
 
 def test_benchmark_says_each_cause_once_and_that_it_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    animarl: Callable[..., Ended], tmp_path: Path
 ) -> None:
     file, out = tmp_path / "tiny.yml", tmp_path / "out"
     few = {"recipes": [], "settings": {}, "references": ["still"], "seeds": [0]}
     file.write_text(json.dumps(TINY | few))
-    bad = ["--method", "bad=test_benchmark_methods:make_raising"]
-    ended = said_by(["--config", str(file), "--out", str(out), *bad], monkeypatch, capsys)
+    bad = ("--method", "bad=test_benchmark_methods:make_raising")
+    ended = animarl("benchmark", "--config", file, "--out", out, *bad)
     assert ended.returncode == 1 and ended.stderr == ""
     assert ended.stdout.count(" failed: ") == 1 and "agent/bad/0 failed: method" in ended.stdout
     assert set(rows_of(out)) == {"still"}
@@ -326,16 +323,14 @@ def test_benchmark_says_each_cause_once_and_that_it_failed(
 
 def test_benchmark_refuses_other_results(tmp_path: Path) -> None:
     (tmp_path / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')
-    with pytest.raises(InputError, match=r"results are of animarl 0\.0\.1"):
-        claim_folder(tmp_path)
+    refuses(r"results are of animarl 0\.0\.1", claim_folder, tmp_path)
     begun = tmp_path / "begun"  # by another command, which is about to mark it
     with write_then_rename(begun / "benchmark.json"):
         claim_folder(begun)
     other = tmp_path / "thesis"
     other.mkdir()
     (other / "chapter.txt").write_text("1")
-    with pytest.raises(InputError, match="no benchmark"):
-        claim_folder(other)
+    refuses("no benchmark", claim_folder, other)
 
 
 def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
@@ -343,15 +338,6 @@ def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
     assert cell.settings is not None
     moved = replace(cell, settings=cell.settings.changed(file="elsewhere"))
     assert moved.key == cell.key
-
-
-def said_by(arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Ended:
-    """The command in this process."""
-    monkeypatch.setattr(sys, "argv", ["animarl", "benchmark", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr()
-    return Ended(int(ended.value.code or 0), said.out, said.err)
 
 
 def test_commands_share_the_pieces(
@@ -381,38 +367,32 @@ def test_commands_share_the_pieces(
 
 
 def test_benchmark_command_lists_and_refuses(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    animarl: Callable[..., Ended], finished: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "tiny.yml"
     file.write_text(json.dumps(TINY))  # JSON is YAML
-    asked = ["--config", str(file), "--out", str(finished)]
-    listed = said_by([*asked, "--list"], monkeypatch, capsys)
-    assert listed.returncode == 0 and listed.stdout.count("finished") == 4
+    asked = ("benchmark", "--config", file, "--out", finished)
+    assert succeeded(animarl(*asked, "--list")).count("finished") == 4
     before = bytes_of(finished)
-    done = said_by([*asked, "--processes", "2"], monkeypatch, capsys)
-    assert done.returncode == 0 and "leaderboard.md" in done.stdout
+    assert "leaderboard.md" in succeeded(animarl(*asked, "--processes", 2))
     assert bytes_of(finished) == before
-    part = said_by([*asked, "--only", "agent/soft-bc/1"], monkeypatch, capsys)
-    assert part.returncode == 0 and bytes_of(finished) == before  # the table is of the whole matrix
+    succeeded(animarl(*asked, "--only", "agent/soft-bc/1"))
+    assert bytes_of(finished) == before  # the table is of the whole matrix
     other = tmp_path / "other"
     other.mkdir()
     (other / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')
-    refused = said_by([*asked, "--out", str(other), "--list"], monkeypatch, capsys)
-    assert refused.returncode == 2 and "are of animarl 0.0.1" in refused.stderr
+    refused(animarl(*asked, "--out", other, "--list"), "are of animarl 0.0.1")
     new = tmp_path / "new"
-    assert said_by([*asked, "--out", str(new), "--list"], monkeypatch, capsys).returncode == 0
+    succeeded(animarl(*asked, "--out", new, "--list"))
     assert not new.exists() and [f.name for f in other.iterdir()] == ["benchmark.json"]
-    for wrong, sentence in (
-        (["--processes", "0"], "at least 1"),
-        (["--species", "fly"], "it is not in the matrix"),
-        (["--only", "agent/x"], "no cell is called so"),
-        (["--method", "soft-bc=test_benchmark_methods:make_raising"], "a row of that name"),
-        (["--method", "mine=nowhere:f"], "cannot be imported"),
+    for *wrong, sentence in (
+        ("--processes", "0", "at least 1"),
+        ("--species", "fly", "it is not in the matrix"),
+        ("--only", "agent/x", "no cell is called so"),
+        ("--method", "soft-bc=test_benchmark_methods:make_raising", "a row of that name"),
+        ("--method", "mine=nowhere:f", "cannot be imported"),
     ):
-        refused = said_by([*asked, "--out", str(new), *wrong], monkeypatch, capsys)
-        assert refused.returncode == 2 and sentence in refused.stderr, refused
-        assert refused.stderr.count("\n") == 1 and refused.stdout == "" and not new.exists()
-    refused = said_by(
-        ["score", str(tmp_path / "none.npz"), "--species", "fly"], monkeypatch, capsys
-    )
-    assert refused.returncode == 2 and "none.npz: " in refused.stderr
+        ended = animarl(*asked, "--out", new, *wrong)
+        refused(ended, sentence)
+        assert ended.stdout == "" and not new.exists()
+    refused(animarl("benchmark", "score", "none.npz", "--species", "fly"), "none.npz: ")

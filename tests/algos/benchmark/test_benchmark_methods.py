@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from refusals import refuses
 from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix, plan
@@ -76,8 +77,7 @@ def test_benchmark_asks_predict_or_a_callable() -> None:
     by_call = CheckedPolicy("mine", lambda observation: np.full(len(observation), 2.0), 13)
     assert by_call.predict(seen)[0].tolist() == [2, 2, 2]
     assert CheckedPolicy("mine", RandomPolicy(0), 13).predict(seen)[0].shape == (3,)
-    with pytest.raises(InputError, match="no predict"):
-        CheckedPolicy("mine", 3, 13)
+    refuses("no predict", CheckedPolicy, "mine", 3, 13)
     with pytest.raises(InputError, match="method mine: its predict raised ValueError"):
         CheckedPolicy("mine", lambda _: [[1], [1, 2], 3], 13).predict(seen)
     network = torch.nn.Linear(3, 2)
@@ -106,8 +106,7 @@ def test_benchmark_lets_signals_through_somebody_elses_code() -> None:
     ],
 )
 def test_benchmark_refuses_actions(answer: Any, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        CheckedPolicy("mine", lambda _: np.array(answer), 13).predict(np.zeros((3, 2)))
+    refuses(said, CheckedPolicy("mine", lambda _: np.array(answer), 13).predict, np.zeros((3, 2)))
 
 
 def test_benchmark_looks_methods_up_at_once() -> None:
@@ -121,8 +120,7 @@ def test_benchmark_looks_methods_up_at_once() -> None:
         (f"mine={HERE}:absent", "cannot be imported"),
         (f"mine={HERE}:HERE", "no callable"),
     ):
-        with pytest.raises(InputError, match=said):
-            parse_method(given)
+        refuses(said, parse_method, given)
 
 
 def test_benchmark_hands_methods_no_test_episode(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import time
 import warnings
@@ -20,6 +19,7 @@ import numpy as np
 import pytest
 import typer
 from commands import Done, refused, succeeded
+from pages import python
 from small_runs import few
 
 from animarl_algos.cli.main import COMMANDS, app
@@ -335,8 +335,7 @@ for name in sys.argv[1].split(","):
 def test_start_of_a_help_imports_no_learners() -> None:
     """That of the program before those of its commands, all but one in one process."""
     names = ["", *(name for name in COMMANDS if name != "benchmark")]
-    asked = [sys.executable, "-c", HELPS, ",".join(names)]
-    done = subprocess.run(asked, capture_output=True, text=True, check=True)
+    done = python(HELPS, ",".join(names))
     loaded = [set(line.split()) for line in done.stderr.splitlines()]
     assert len(loaded) == len(names)
     assert not loaded[0] & (LEARNING | HEAVY) and not loaded[-1] & LEARNING
@@ -359,8 +358,7 @@ def test_start_of_a_command_is_as_listed(name: str) -> None:
     ("words", "said"), [("trian", "train"), ("report nowhere", "nowhere: it is not a run folder")]
 )
 def test_start_that_is_refused(words: str, said: str, tmp_path: Path) -> None:
-    asked = [sys.executable, "-c", ANIMARL, *words.split()]
-    done = subprocess.run(asked, capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = python(ANIMARL, *words.split(), check=False, cwd=tmp_path)
     assert done.returncode == 2 and said in done.stderr
 
 

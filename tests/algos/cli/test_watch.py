@@ -9,23 +9,15 @@ import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-import typer
+from commands import animarl
 from refusals import refuses
 from small_runs import few, made
-from typer.testing import CliRunner
 
-from animarl_algos.cli.watch import play, prepare, trained_actor, watch_command
+from animarl_algos.cli.watch import play, prepare, trained_actor
 from animarl_envs.drawing.render import Renderer
-from animarl_envs.errors import InputError
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 NEWT, MOTH = "AnimaRL/Newt-v0", "AnimaRL/Silkmoth-v0"
-
-
-def watch(*arguments: str):
-    app = typer.Typer()
-    app.command()(watch_command)
-    return CliRunner().invoke(app, list(arguments))
 
 
 @pytest.fixture(scope="module")
@@ -36,27 +28,21 @@ def demos(tmp_path_factory) -> str:
 
 def test_writes_a_clip_and_says_so(tmp_path):
     clip = tmp_path / "moth.gif"
-    run = watch(
-        MOTH, "--demos", "none", "--steps", "5", "--out", str(clip), "--size", "100", "--fps", "5"
-    )
-    assert run.exit_code == 0, run.output
+    asked = ("--demos", "none", "--steps", 5, "--out", clip, "--size", 100, "--fps", 5)
+    said = animarl("watch", MOTH, *asked)
     shown = [imageio.immeta(clip, index=k)["duration"] for k in range(6)]
     assert shown == [200] * 5 + [1200]  # the start, five steps, and the last one held for a second
     assert imageio.imread(clip).shape[-3:-1] == (112, 100)
-    assert "Wrote" in run.output
-    assert "2.5 x real time" in run.output
-    assert "stopped after 2.5 s" in run.output
+    for word in ("Wrote", "2.5 x real time", "stopped after 2.5 s"):
+        assert word in said
 
 
 def test_the_same_seed_gives_the_same_clip_and_another_another(tmp_path):
     clips = []
     for number, seed in enumerate(("3", "3", "4")):
         clip = tmp_path / f"{number}.gif"
-        run = watch(
-            NEWT, "--demos", "none", "--steps", "3", "--seed", seed, "--out", str(clip),
-            "--size", "100",
-        )  # fmt: skip
-        assert run.exit_code == 0, run.output
+        asked = ("--demos", "none", "--steps", 3, "--seed", seed, "--out", clip, "--size", 100)
+        animarl("watch", NEWT, *asked)
         clips.append(clip.read_bytes())
     assert clips[0] == clips[1] != clips[2]
 
@@ -69,12 +55,9 @@ def positions_of(world, actor, steps):
 
 def test_recorded_animals_beside_simulated_ones(tmp_path):
     clip = tmp_path / "flies.gif"
-    run = watch(
-        "--model", "fly", "--beside", "--episodes", "2", "--steps", "4", "--size", "100",
-        "--split", "test", "--out", str(clip),
-    )  # fmt: skip
-    assert run.exit_code == 0, run.output
-    assert run.output.count(", recorded: ") == run.output.count(", simulated: ") == 2
+    asked = ("--episodes", 2, "--steps", 4, "--size", 100, "--split", "test", "--out", clip)
+    said = animarl("watch", "--model", "fly", "--beside", *asked)
+    assert said.count(", recorded: ") == said.count(", simulated: ") == 2
     first = imageio.imread(clip, index=0)[:100, :, :3]
     assert first.shape[1] == 200
     assert (first[:, :100] == first[:, 100:]).mean() > 0.99  # both begin at the same places
@@ -171,11 +154,7 @@ def test_a_closed_window_ends_the_show(monkeypatch):
 )
 def test_bad_input_is_one_sentence_and_writes_nothing(arguments, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    run = watch(*arguments)
-    assert isinstance(run.exception, InputError)
-    assert "\n" not in str(run.exception)
-    with pytest.raises(InputError, match=message):
-        raise run.exception
+    refuses(message, animarl, "watch", *arguments)
     assert not list(tmp_path.iterdir())
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from recordings import SYNTHETIC
+from recordings import episodes_along
 from refusals import refuses
 
 from animarl_algos import DQN, SoftBC
@@ -169,11 +169,10 @@ def recording(
                 velocity[k] = apply_actions(velocity[k], actions[t, k], focus[k], model, DT)
             positions[t + 1] = positions[t] + velocity * DT
     actions[[29, 49]] = -1
-    demos = Demonstrations(
-        species="custom", individuals=NAMES, roles=ROLES, dt=DT, arena=Arena("open"),
-        positions=positions + rng.normal(size=positions.shape) * noise, lengths=lengths,
-        initial_velocity=initial, condition=np.zeros(2), outcome=np.zeros(2),
-        split=np.array(["train", "val"]), recording=np.array(["a", "b"]), provenance=SYNTHETIC,
+    noisy = positions + rng.normal(size=positions.shape) * noise
+    demos = episodes_along(
+        np.split(noisy, [30]), species="custom", individuals=NAMES, arena=Arena("open"),
+        initial_velocity=initial, split=np.array(["train", "val"]),
     )  # fmt: skip
     return demos, actions, fitted, demos.focus()
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_algos.evaluation import acting_choice
 from animarl_algos.evaluation.acting_choice import (
@@ -230,11 +231,9 @@ def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_pat
     shutil.copytree(run.path, copy)
     file = copy / "policies" / "soft-bc.acting.json"
     file.write_text("{")
-    with pytest.raises(InputError, match="it is damaged"):
-        Run(copy).acting("soft-bc")
+    refuses("it is damaged", Run(copy).acting, "soft-bc")
     file.unlink()
-    with pytest.raises(InputError, match="no acting rule was chosen yet"):
-        Run(copy).acting("soft-bc")
+    refuses("no acting rule was chosen yet", Run(copy).acting, "soft-bc")
 
 
 @pytest.fixture(scope="module")
@@ -242,19 +241,6 @@ def chases() -> Demonstrations:
     demos = load_packaged("agent")
     long = np.flatnonzero((demos.split == "train") & (demos.lengths > 60))
     return demos.select(episodes=long[:40])
-
-
-def test_animals_with_one_thrust_get_one(chases: Demonstrations) -> None:
-    assert choose_thrusts(chases)[0] == 1
-    assert tracking_floor(chases, joint_locomotion(chases)).estimate < 0.6
-
-
-def test_animals_that_push_with_several_strengths_get_several(chases: Demonstrations) -> None:
-    """Tracks of the chases that can be followed with magnitudes of 1.6, 0.8 and 0.3 only."""
-    strengths = (Locomotion(0.25, 3.0, (1.6, 0.8, 0.3)),) * 3
-    wobbly = replace(chases, positions=track(chases, strengths).positions)
-    assert choose_thrusts(wobbly)[0] > 1
-    assert tracking_floor(wobbly, joint_locomotion(wobbly)).estimate > 0.8
 
 
 def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for(chases: Demonstrations) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from animarl_algos.evaluation.statistics import Cells, Draws, bootstrap_difference, bootstrap_mean
-from animarl_algos.evaluation.verdict_rows import Exchanges, exchange_test
 from benchmarks import stated_coverage
 
 EXPERIMENTS = 500
@@ -89,29 +88,6 @@ def test_coverage_of_one_network_is_of_this_network() -> None:
         other += found.low <= 0.0 <= found.high
     assert own / EXPERIMENTS >= 0.93 - CHANCE
     assert other / EXPERIMENTS < 0.6
-
-
-@pytest.mark.parametrize("log", [False, True])
-def test_null_references_hold_for_a_perfect_simulator_that_knows_its_start(log: bool) -> None:
-    rng = np.random.default_rng(4)
-    demo, alarms = np.repeat(np.arange(20), 3), 0
-    for _ in range(150):
-        centre = rng.normal(size=20)
-        values = np.concatenate([centre, centre[demo]]) + rng.normal(size=80)
-        drawn = np.exp(values) if log else values
-        found = exchange_test(drawn[:, None], Exchanges.draw(demo, 20, rng, 200))
-        alarms += found.p <= 0.05
-        assert found.null[0] > 0
-    assert alarms / 150 <= 0.05 + 0.055
-
-
-def test_null_references_tell_a_shifted_simulator() -> None:
-    rng = np.random.default_rng(5)
-    recorded, demo = rng.normal(size=40), np.repeat(np.arange(40), 3)
-    exchanges = Exchanges.draw(demo, 40, rng, 200)
-    both = np.concatenate([recorded, 1.0 + rng.normal(size=120)])
-    assert exchange_test(both[:, None], exchanges).p <= 0.01
-    assert np.isnan(exchange_test(np.full((160, 1), np.nan), exchanges).p)
 
 
 @pytest.mark.parametrize("section", list(stated_coverage.SECTIONS))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recordings import episodes_along
 
 from animarl_algos.evaluation.classifier import window_features
 from animarl_algos.evaluation.collect import Blindfolded, MemorylessPolicy
@@ -31,22 +32,12 @@ GROUP_ROWS = {
 
 def recorded(paths: list[np.ndarray], arena: Arena, dt: float) -> Demonstrations:
     """Demonstrations of the test split that merely end, of animals that are no targets."""
-    count, num = len(paths), paths[0].shape[1]
-    return Demonstrations(
-        species="custom",
-        individuals=tuple(f"animal_{k}" for k in range(num)),
-        roles=("pursuer",) * num,
-        dt=dt,
-        arena=arena,
-        positions=np.concatenate(paths),
-        lengths=np.array([len(path) for path in paths]),
+    num = paths[0].shape[1]
+    return episodes_along(
+        paths, species="custom", individuals=tuple(f"animal_{k}" for k in range(num)),
+        roles=("pursuer",) * num, dt=dt, arena=arena, outcome=np.full(len(paths), UNFINISHED),
         initial_velocity=np.array([(path[1] - path[0]) / dt for path in paths]),
-        condition=np.zeros(count),
-        outcome=np.full(count, UNFINISHED),
-        split=np.full(count, "test"),
-        recording=np.arange(count).astype(str),
-        provenance={"source": "a test", "licence": "MIT", "synthetic": True},
-    )
+    )  # fmt: skip
 
 
 def rollouts_of(demos: Demonstrations, paths: list[np.ndarray], each: int) -> Rollouts:

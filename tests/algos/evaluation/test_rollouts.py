@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from moving_pairs import demonstrations_of
 from numpy.typing import NDArray
+from recordings import episodes_along
 from refusals import refuses
 
 from animarl_algos.evaluation import collect
@@ -22,7 +22,6 @@ from animarl_algos.evaluation.teams import PublishedTeam, teams_of
 from animarl_envs.demos.demonstrations import TARGET_OUT, TIME_OUT, Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import make_scenario
@@ -39,7 +38,7 @@ STARTS = [
 def make_demos() -> Demonstrations:
     drift = np.arange(4)[:, None, None] * 0.01
     paths = [np.array(start) + drift for start in STARTS]
-    return demonstrations_of(paths, condition=[0, 1, 1], outcome=[1, 0, 0])
+    return episodes_along(paths, condition=[0, 1, 1], outcome=[1, 0, 0])
 
 
 def world_maker(**options: Any) -> Any:
@@ -174,13 +173,6 @@ def test_random_policy_is_uniform() -> None:
     assert len(counts) == 13 and abs(counts - 1000).max() < 150
 
 
-def test_refuses_what_cannot_be_collected() -> None:
-    refuses("at least one rollout", collected, Recorder(), 0)
-    refuses("start from demonstrations", collected, Recorder(), start="uniform")
-    with pytest.raises(InputError, match="cue is 'other'"):
-        collect_rollouts(world_maker(), Recorder(), method="x", seed=0, cue="other")  # type: ignore[arg-type]
-
-
 @pytest.fixture
 def made() -> Rollouts:
     return collected(RandomPolicy(0), 2, seed=3)
@@ -205,11 +197,15 @@ def test_a_foreign_or_damaged_file_is_refused(made: Rollouts, tmp_path: Path) ->
     refuses("no such file", Rollouts.load, tmp_path / "missing.npz")
 
 
-def test_misshapen_rollouts_are_refused(made: Rollouts) -> None:
+def test_rollouts_that_cannot_be_collected_or_are_misshapen_are_refused(made: Rollouts) -> None:
     keys = ("positions", "lengths", "outcome", "condition", "cue", "demo", "seed", "repetition")
     good: dict[str, Any] = {key: getattr(made, key) for key in keys}
     good |= {"method": "x", "individuals": made.individuals, "roles": made.roles, "dt": 0.1}
     assert len(Rollouts(**good)) == 6
+    refuses("at least one rollout", collected, Recorder(), 0)
+    refuses("start from demonstrations", collected, Recorder(), start="uniform")
+    told = {"method": "x", "seed": 0, "cue": "other"}
+    refuses("cue is 'other'", collect_rollouts, world_maker(), Recorder(), **told)
     for change, message in [
         ({"demo": made.demo[:-1]}, "demo has 5 entries"),
         ({"positions": made.positions[:-1]}, "add up"),

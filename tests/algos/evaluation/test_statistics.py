@@ -1,4 +1,6 @@
-"""Statistics: known answers, agreement with SciPy, coverage and uniformity on simulated data."""
+"""Statistics and energy scores: known answers, agreement with SciPy, coverage on simulated data."""
+
+import math
 
 import numpy as np
 import pytest
@@ -14,7 +16,11 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_mean,
     cells,
     demo_margins,
+    energy_cells,
+    energy_score,
+    energy_scores,
     percentile_interval,
+    pooled_score,
     share_margins,
 )
 
@@ -231,3 +237,40 @@ def test_the_gate_passes_in_one_of_twenty_where_nothing_differs(sizes: tuple[int
     rng = np.random.default_rng(8)
     p = [gate([rng.exponential(size=n) for n in sizes], rng, 199).p for _ in range(400)]
     assert np.mean(np.array(p) <= 0.05) <= 0.08
+
+
+def test_a_score_worked_out_by_hand() -> None:
+    # mean error (1 + 3 + 0) / 3; pairs |1-(-3)|, |1-0|, |-3-0| once each: 8 / (3 * 2)
+    assert energy_score([1.0, -3.0, 0.0], 0.0) == pytest.approx(4 / 3 - 8 / 6)
+    assert energy_score([[3.0, 4.0], [0.0, 0.0]], [0.0, 0.0]) == pytest.approx(2.5 - 2.5)
+
+
+def test_cells_hold_the_score_of_each_seed_and_start() -> None:
+    rng = np.random.default_rng(4)
+    values, recorded = rng.normal(size=60), np.array([0.5, np.nan, -1.0, 2.0])
+    values[3] = np.nan
+    seed, demo = rng.integers(5, 7, 60), rng.integers(0, 4, 60)
+    found = energy_cells(values, seed, demo, recorded)
+    assert found.counts[:, 1].tolist() == [0.0, 0.0]
+    for row, one in enumerate((5, 6)):
+        for start in (0, 2, 3):
+            chosen = (seed == one) & (demo == start) & np.isfinite(values)
+            expected = energy_score(values[chosen], recorded[start])
+            assert found.sums[row, start] == pytest.approx(expected)
+    assert energy_cells([1.0, 2.0], [0, 1], [0, 0], [1.0]).counts.sum() == 0
+
+
+def test_one_rollout_shows_no_spread() -> None:
+    assert math.isnan(energy_score([1.0], 0.0))
+    scores = energy_scores([1.0, 2.0, 5.0], [0, 0, 1], [1.0, 5.0])
+    assert scores[0] == pytest.approx(0.0)
+    assert math.isnan(scores[1])
+
+
+def test_to_know_the_start_is_worth_something() -> None:
+    rng = np.random.default_rng(2)
+    recorded = rng.normal(0.0, 3.0, 200)
+    demo = np.repeat(np.arange(200), 2)
+    knowing = energy_scores(recorded[demo] + rng.normal(size=400), demo, recorded).mean()
+    assert knowing < 0.6 * pooled_score(recorded)
+    assert pooled_score(recorded) == pytest.approx(3.0 / math.sqrt(math.pi), rel=0.15)

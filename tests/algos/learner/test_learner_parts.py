@@ -320,28 +320,6 @@ def test_a_stopped_phase_goes_on_exactly(policy: str, device: str, tmp_path: Pat
     assert resumed.offline_progress.history == straight.offline_progress.history
 
 
-@kinds
-def test_individuals_that_share_a_network_learn_from_each_other(policy: str) -> None:
-    """Each was seen in one half of the world, and is asked about both."""
-    split = []
-    for seed in (0, 1):
-        observations = np.random.default_rng(seed).normal(size=(48 * 5, 2, 4))
-        if seed == 0:
-            observations[..., 0] = np.abs(observations[..., 0]) * [1, -1]
-        actions, names = observations[..., :3].argmax(-1), toys.Pair.individuals
-        split.append(OfflineDataset(observations, actions, np.full(48, 5), 3, names=names))
-    figure = {}
-    for shared in (False, True):
-        kwargs = {"hidden": 16, "shared": shared, "skip": policy == "GruPolicy"}
-        model = cloning(policy, demonstrations=Split(*split), policy_kwargs=kwargs)
-        progress = model.pretrain()
-        figure[shared] = float(np.mean(progress.best_figures))
-    assert figure[True] < figure[False] - 0.05
-    assert len(set(progress.best_epochs)) == 1
-    for weight in model.policy.q_net.shared_parameters:
-        torch.testing.assert_close(weight[0], weight[1], rtol=0, atol=1e-6)
-
-
 def test_the_weights_of_the_best_epoch_are_kept_not_those_of_the_last() -> None:
     settings = {"offline_learning_rate": 0.3, "gradient_steps": 1}
     model = make_pair_learner("bc", offline_epochs=8, **settings)

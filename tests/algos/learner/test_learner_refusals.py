@@ -35,11 +35,6 @@ def five_frames(actions: list[int], num_actions: int, **more: Any) -> OfflineDat
     return OfflineDataset(observations, taken, np.array([5]), num_actions, **more)
 
 
-def unscored() -> Split:
-    """Demonstrations of the pair whose actions nobody has scored."""
-    return Split(five_frames([0, 1], 3), demonstrations().val)
-
-
 class Nothing:
     """A dataset of no episode."""
 
@@ -61,10 +56,6 @@ class Case:
     learner: Callable[..., Any]
     env: Callable[[], Any]
     more: Callable[[], dict[str, Any]] = dict
-
-
-def with_convolutions(_: str, env: Any, **settings: Any) -> DQN:
-    return DQN("CnnPolicy", env, **settings)
 
 
 def offline(data: Callable[[], Split]) -> Callable[[], dict[str, Any]]:
@@ -126,7 +117,10 @@ CASES = {
         "hold action 8, the environment has 3", DQDIL, lambda: toys.Pair(2), offline(other_actions)
     ),
     "no scored actions": Case(
-        "no penalties of all actions", DQDIL, lambda: toys.Pair(2), offline(unscored)
+        "no penalties of all actions",
+        DQDIL,
+        lambda: toys.Pair(2),
+        offline(lambda: Split(five_frames([0, 1], 3), demonstrations().val)),
     ),
     "no offline phase": Case(
         "learns without demonstrations", DQN, lambda: toys.Pair(2), lambda: {"offline_epochs": 1}
@@ -139,7 +133,11 @@ CASES = {
     "episodes without end": Case(
         "give max_episode_steps", DQN, lambda: FlattenObservation(gym.make("Blackjack-v1"))
     ),
-    "unknown policy": Case("'CnnPolicy' is unknown", with_convolutions, lambda: toys.Pair(2)),
+    "unknown policy": Case(
+        "'CnnPolicy' is unknown",
+        lambda _, *env, **more: DQN("CnnPolicy", *env, **more),
+        lambda: toys.Pair(2),
+    ),
 }
 
 
@@ -269,33 +267,27 @@ def test_what_a_run_is_compared_with_gets_its_policy_without_quantiles() -> None
         ({"species": "fly", "algo": "dqcil"}, "fly", "needs two experimental conditions and fly"),
         ({"algo": "qr-dqcil-pt"}, "agent alone", "all are of condition 1: choose qr-dqdil-pt"),
         ({"focal": "wolf"}, "agent", "focal is 'wolf': choose one of predator_0"),
+        ({"device": "abacus"}, "", "'abacus' is unknown: choose cpu or cuda"),
+        ({"device": "meta"}, "", "'meta' is unknown: choose cpu or cuda"),
+        ({"preset": "fast"}, "", "preset is 'fast': choose paper or default"),
+        ({"fit_method": "guess"}, "", "'guess': choose joint, onset or noise"),
+        ({"fit_method": "noise", "thrusts": "3"}, "", "fit_method noise fits one thrust: choose 1"),
+        ({"seed": -1}, "", "seed is -1"),
+        ({"copies": 0}, "", "copies is 0"),
+        ({"acting": "wild"}, "", "acting"),
+        ({"algo": "sarsa"}, "", "'sarsa' is unknown"),
+        ({"species": "dodo"}, "", "'dodo' is unknown"),
     ],
 )
-def test_demonstrations_that_do_not_fit_the_run(
+def test_bad_run_settings_by_themselves_or_with_demonstrations(
     asked: dict[str, Any], demos: str, words: str
 ) -> None:
+    if not demos:
+        refuses(words, settings, **asked)
+        return
     given = load_packaged(demos.removesuffix(" alone"))
     given = given.select(condition=1) if demos.endswith("alone") else given
     refuses(words, checked_species, settings(**asked), given)
-
-
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        ({"device": "abacus"}, "'abacus' is unknown: choose cpu or cuda"),
-        ({"device": "meta"}, "'meta' is unknown: choose cpu or cuda"),
-        ({"preset": "fast"}, "preset is 'fast': choose paper or default"),
-        ({"fit_method": "guess"}, "'guess': choose joint, onset or noise"),
-        ({"fit_method": "noise", "thrusts": "3"}, "fit_method noise fits one thrust: choose 1"),
-        ({"seed": -1}, "seed is -1"),
-        ({"copies": 0}, "copies is 0"),
-        ({"acting": "wild"}, "acting"),
-        ({"algo": "sarsa"}, "'sarsa' is unknown"),
-        ({"species": "dodo"}, "'dodo' is unknown"),
-    ],
-)
-def test_bad_run_settings(asked: dict[str, Any], words: str) -> None:
-    refuses(words, settings, **asked)
 
 
 def refused(kind: type[SequenceQLearning], policy: str, **more: Any) -> str:

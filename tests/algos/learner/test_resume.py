@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 import toys
+from pages import python
 from pair_learners import SETTINGS, Interrupt, make_pair_learner, weights
 from refusals import refuses
 
@@ -133,10 +134,7 @@ for limit in (0, 100, 5000, whole // 2, whole - 1):
 
 def test_a_full_disk_leaves_the_last_one(tmp_path: Path) -> None:
     """Files that may not grow, up to one byte less than a whole file of the checkpoint."""
-    asked = [sys.executable, "-c", FULL, str(tmp_path), *FOLDERS]
-    run = subprocess.run(asked, check=False, capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    said = run.stdout.splitlines()
+    said = python(FULL, tmp_path, *FOLDERS).stdout.splitlines()
     assert sum("checkpoint" in line for line in said) == 5
     assert sum("dqdil.pt" in line for line in said) >= 2
     assert all("cannot be written (File too large)" in line for line in said), said
@@ -159,30 +157,18 @@ def test_a_foreign_checkpoint_is_refused(
     refuses(words, load_checkpoint, other(), tmp_path)
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A checkpoint after a hundred steps."""
-    return save_checkpoint(make().learn(100), tmp_path_factory.mktemp("whole")).read_bytes()
-
-
-@pytest.mark.parametrize("damage", [b"", b"text", b"PK\x03\x04", b"[1, 2]", slice(9_000)])
-def test_a_damaged_checkpoint_is_refused(
-    damage: bytes | slice, whole: bytes, tmp_path: Path
-) -> None:
-    file = tmp_path / "checkpoint.npz"
-    file.write_bytes(whole[damage] if isinstance(damage, slice) else damage)
-    refuses("damaged", load_checkpoint, make(), tmp_path)
-
-
-@pytest.mark.parametrize("part", ["state", "model", "replay"])
-def test_a_checkpoint_with_a_spoilt_part_is_refused(
-    part: str, whole: bytes, tmp_path: Path
-) -> None:
-    with np.load(io.BytesIO(whole)) as archive:
-        kept = {name: archive[name] for name in archive if name.partition("/")[0] != part}
-    for spoilt in ({}, {part: np.array("text")}, {part: np.array("[1, 2]")}):
-        np.savez(tmp_path / "checkpoint.npz", **kept, **spoilt)
-        refuses("damaged|lacks", load_checkpoint, make(), tmp_path)
+def test_a_damaged_checkpoint_or_one_with_a_spoilt_part_is_refused(tmp_path: Path) -> None:
+    file = save_checkpoint(make().learn(100), tmp_path)
+    whole = file.read_bytes()
+    for damage in (b"", b"text", b"PK\x03\x04", b"[1, 2]", whole[:9_000]):
+        file.write_bytes(damage)
+        refuses("damaged", load_checkpoint, make(), tmp_path)
+    for part in ("state", "model", "replay"):
+        with np.load(io.BytesIO(whole)) as archive:
+            kept = {name: archive[name] for name in archive if name.partition("/")[0] != part}
+        for spoilt in ({}, {part: np.array("text")}, {part: np.array("[1, 2]")}):
+            np.savez(file, **kept, **spoilt)
+            refuses("damaged|lacks", load_checkpoint, make(), tmp_path)
 
 
 def flip_a_bit(file: Path, model: SequenceQLearning) -> None:

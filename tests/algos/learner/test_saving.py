@@ -17,7 +17,6 @@ from refusals import refuses
 
 import animarl_algos.learner.pretraining
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import DQDIL, DQN
 
 
@@ -27,20 +26,6 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("saved") / "model"
     make_pair_learner("dqn").learn(40).save(file)
     return file
-
-
-def test_the_acting_rule_is_saved_as_it_was_set(tmp_path: Path) -> None:
-    model = make_pair_learner("dqn").learn(40)
-    model.policy.acting = Acting.boltzmann(model.fit_temperature(demonstrations().val))
-    model.save(tmp_path / "model")
-    loaded = DQN.load(tmp_path / "model", device="cpu")
-    assert loaded.policy.acting == model.policy.acting
-    rng = np.random.default_rng(0)
-    for each in (model, loaded):
-        each.policy.seed(5)
-    for _ in range(5):
-        observation = rng.normal(size=(40, 4)).astype(np.float32)
-        np.testing.assert_array_equal(loaded.predict(observation)[0], model.predict(observation)[0])
 
 
 @pytest.mark.parametrize("copies", [2, 3])

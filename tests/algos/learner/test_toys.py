@@ -8,25 +8,17 @@ import pytest
 import torch
 import toys
 from pair_learners import Split
-from treatment_probe import probe_balanced_accuracy
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN
 
 LEARN: dict[str, Any] = {
-    "learning_rate": 3e-3,
-    "gamma": 0.95,
-    "buffer_size": 5000,
-    "target_update_interval": (100, "episode"),
-    "updates_per_episode": 0.2,
-    "exploration_initial_eps": 1.0,
-    "exploration_final_eps": 0.1,
-    "exploration_steps": 4000,
-    "offline_epochs": 0,
-    "seed": 0,
-    "device": "cpu",
-}
+    "learning_rate": 3e-3, "gamma": 0.95, "buffer_size": 5000,
+    "target_update_interval": (100, "episode"), "updates_per_episode": 0.2,
+    "exploration_initial_eps": 1.0, "exploration_final_eps": 0.1, "exploration_steps": 4000,
+    "offline_epochs": 0, "seed": 0, "device": "cpu",
+}  # fmt: skip
 
 
 def greedy_returns(model: SequenceQLearning, env: toys.Toy, steps: int) -> np.ndarray[Any, Any]:
@@ -222,7 +214,7 @@ def test_flipping_a_confounded_condition_needs_the_reversal() -> None:
         readings[recipe] = [confounded.read_condition(model, seed) for seed in (1234, 4321)]
     assert followed[DQCIL] > 0.9
     assert followed[DQDIL] < 0.1
-    probe = probe_balanced_accuracy(*(reading.rows() for reading in readings[DQDIL]))
+    probe = confounded.probe_balanced_accuracy(*(reading.rows() for reading in readings[DQDIL]))
     assert probe > 0.95
     for reading in readings[DQCIL]:
         assert 0.4 < reading.head_accuracy() < 0.6

@@ -1,6 +1,7 @@
 """Acting: routing of slots, memory between calls, the acting rules, saving and loading."""
 
 import operator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -251,31 +252,28 @@ def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
     )
 
 
+def told(slots: int = S, previous_action: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A memory of so many slots, in which all did one action before."""
+    hidden, previous = make().initial_state(slots)
+    return hidden, np.full_like(previous, previous_action)
+
+
+def act(*shape: int, state: tuple[np.ndarray, np.ndarray] | None = None) -> object:
+    return make().predict(np.zeros(shape, dtype=np.float32), state)
+
+
 @pytest.mark.parametrize(
-    ("observation_space", "action_space", "message"),
+    ("message", "call"),
     [
-        (spaces.Discrete(3), ACTIONS, "not a Box"),
-        (OBSERVATIONS, spaces.Box(-1, 1, (2,)), "not Discrete"),
-        (OBSERVATIONS, spaces.Discrete(3, start=1), "starting at 0"),
+        ("not a Box", lambda: GruPolicy(spaces.Discrete(3), ACTIONS, ConstantSchedule(1e-3))),
+        ("not Discrete", lambda: GruPolicy(OBSERVATIONS, spaces.Box(-1, 1, (2,)), float)),
+        ("starting at 0", lambda: GruPolicy(OBSERVATIONS, spaces.Discrete(3, start=1), float)),
+        ("cannot be dealt", lambda: act(4, *SHAPE)),
+        ("does not fit", lambda: act(S, 7)),
+        ("does not fit", lambda: act(S, *SHAPE, state=told(S + 3))),
+        ("previous actions", lambda: act(S, *SHAPE, state=told(previous_action=-1))),
+        ("previous", lambda: act(S, *SHAPE, state=told(previous_action=A + 1))),
     ],
 )
-def test_foreign_spaces_are_refused(observation_space, action_space, message: str) -> None:
-    refuses(message, GruPolicy, observation_space, action_space, ConstantSchedule(1e-3))
-
-
-@pytest.mark.parametrize(
-    ("shape", "message"), [((4, *SHAPE), "cannot be dealt"), ((S, 7), "does not fit")]
-)
-def test_misfitting_observations_are_refused(shape: tuple[int, ...], message: str) -> None:
-    refuses(message, make().predict, np.zeros(shape, dtype=np.float32))
-
-
-@pytest.mark.parametrize(
-    ("slots", "previous_action", "message"),
-    [(S + 3, 0, "does not fit"), (S, -1, "previous actions"), (S, ACTIONS.n + 1, "previous")],
-)
-def test_misfitting_memories_are_refused(slots: int, previous_action: int, message: str) -> None:
-    policy = make()
-    hidden, previous = policy.initial_state(slots)
-    state = (hidden, np.full_like(previous, previous_action))
-    refuses(message, policy.predict, np.zeros((S, *SHAPE), dtype=np.float32), state)
+def test_what_does_not_fit_a_policy_is_refused(message: str, call: Callable[[], object]) -> None:
+    refuses(message, call)

@@ -19,8 +19,7 @@ from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, Phase, next_values
 from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.acting_rule import Acting
-from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.networks.policies import values_to_logits, zero_value_stream
+from animarl_algos.networks.policies import values_to_logits
 from animarl_algos.recipes.registry import IQLearn
 
 LOG2, LOG3 = math.log(2.0), math.log(3.0)
@@ -116,27 +115,6 @@ def test_the_end_value_is_the_demonstrated_states_mean_and_has_no_gradient() -> 
     assert (free.grad[0, 0] != 0.0).all() and (free.grad[0, 1] == 0.0).all()
 
 
-def test_an_end_that_only_own_episodes_have_is_learned_to_be_worse() -> None:
-    """A state from which one action ends: whose end is not shown loses probability, and only so."""
-    chosen = []
-    for terminated, rewards in (([1.0], [-10.0]), ([0.0], [0.0])):
-        q = torch.zeros((1, 2, 1, 2), requires_grad=True)  # two states, each leads into itself
-        optimizer = torch.optim.Adam([q], lr=0.02)
-        for _ in range(400):
-            parts = []
-            for action, end, reward in ((0, [0.0], [0.0]), (1, terminated, rewards)):
-                values = steps_of([[0.0, 0.0]] * 2, [action], terminated=end, rewards=reward,
-                                  gamma=0.9)  # fmt: skip
-                values.online = Given(q[:, :1].expand(1, 2, 1, 2))  # type: ignore[assignment]
-                parts.append(values)
-            loss = InverseSoftQ()(beside(parts[1], parts[0])).sum()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-        chosen.append(functional.softmax(q[0, 0, 0].detach(), -1)[1].item())
-    assert chosen[0] < chosen[1] < 0.5
-
-
 def test_individuals_are_their_own() -> None:
     learner = make_pair_learner("iq-learn", "MlpPolicy")
     assert learner.demonstrations is not None
@@ -151,25 +129,6 @@ def test_individuals_are_their_own() -> None:
     shown, own = (evaluated(learner, part.batch, needs_target=False) for part in (shown, own))
     after = InverseSoftQ()(beside(own, shown))
     assert after[0] == together[0] and after[1] != together[1]
-
-
-@pytest.mark.parametrize("quantiles", [None, 4])
-@pytest.mark.parametrize("recurrent", [False, True])
-def test_zeroing_the_value_stream_keeps_the_policy(recurrent: bool, quantiles: int | None) -> None:
-    network = StackedQNetwork(("a", "b"), 4, 5, n_quantiles=quantiles, recurrent=recurrent, seed=1)
-    with torch.no_grad():
-        network.dueling.value.bias.fill_(-100.0)  # as after cloning
-    generator = torch.Generator().manual_seed(0)
-    observations = torch.randn((2, 3, 6, 4), generator=generator)
-    previous = torch.randint(6, (2, 3, 6), generator=generator)
-    before = network(observations, previous).q_values.detach()
-    zero_value_stream(network)
-    after = network(observations, previous).q_values.detach()
-    torch.testing.assert_close(after.mean(-1), torch.zeros((2, 3, 6)), atol=1e-5, rtol=0.0)
-    torch.testing.assert_close(
-        functional.softmax(before, -1), functional.softmax(after, -1), atol=1e-5, rtol=0.0
-    )
-    assert before.mean().item() < -90.0
 
 
 def test_values_become_logits_at_the_fitted_temperatures() -> None:

@@ -1,7 +1,6 @@
 """The recipes: they run, repeat, save, load, log, and learn offline."""
 
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -244,13 +243,9 @@ def test_the_demonstrated_action_comes_to_rank_first(name: str) -> None:
 
 NEVER = 10**9
 WIRING: dict[str, Any] = {
-    "buffer_size": 1000,
-    "batch_size": 3,
-    "offline_epochs": 0,
-    "policy_kwargs": {"hidden": 6},
-    "seed": 2,
-    "device": "cpu",
-}
+    "buffer_size": 1000, "batch_size": 3, "offline_epochs": 0, "policy_kwargs": {"hidden": 6},
+    "seed": 2, "device": "cpu",
+}  # fmt: skip
 
 
 def test_steps_before_learning_starts_are_acted_at_random() -> None:
@@ -319,26 +314,12 @@ def test_the_target_is_renewed_after_every_offline_epoch() -> None:
 STEPS = 120
 TOLERANCE = 1e-4
 FOLLOWED: dict[str, Any] = {
-    "learning_rate": lambda remaining: 0.01 * remaining,
-    "buffer_size": 1000,
-    "batch_size": 3,
-    "gamma": 0.9,
-    "alpha": 0.7,
-    "lambda1": 1e-3,
-    "lambda2": 0.6,
-    "lambda3": 0.8,
-    "max_grad_norm": 1.0,
-    "tau": 0.3,
-    "target_update_interval": (10, "step"),
-    "learning_starts": 20,
-    "exploration": "epsilon",
-    "exploration_initial_eps": 0.5,
-    "exploration_final_eps": 0.3,
-    "exploration_steps": 100,
-    "offline_epochs": 0,
-    "seed": 5,
-    "device": "cpu",
-}
+    "learning_rate": lambda remaining: 0.01 * remaining, "buffer_size": 1000, "batch_size": 3,
+    "gamma": 0.9, "alpha": 0.7, "lambda1": 1e-3, "lambda2": 0.6, "lambda3": 0.8,
+    "max_grad_norm": 1.0, "tau": 0.3, "target_update_interval": (10, "step"), "learning_starts": 20,
+    "exploration": "epsilon", "exploration_initial_eps": 0.5, "exploration_final_eps": 0.3,
+    "exploration_steps": 100, "offline_epochs": 0, "seed": 5, "device": "cpu",
+}  # fmt: skip
 PIECES = {"sequence_length": 5, "burn_in": 2}
 PAPERS_NETWORK: dict[str, Any] = {
     "hidden": 6, "depth": 2, "head_layers": 1, "dropout": 0.0, "previous_action": None
@@ -388,40 +369,3 @@ def test_the_run_holds_every_case() -> None:
     assert any(step.truncated.any() for step in env.steps)
     assert sum(step.done[0] != step.done[1] for step in env.steps) > 10
     assert any((step.labels < 0).any() for step in env.steps)
-
-
-@pytest.fixture
-def in_double() -> Iterator[None]:
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
-
-
-@pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-dqdil-pt"])
-def test_individuals_together_are_individuals_alone(name: str, in_double: None) -> None:
-    """Offline, from the same demonstrations and seed: the same weights, to rounding.
-
-    In double precision: Adam divides by the size of the gradient, so that rounding of a gradient
-    near zero makes steps as large as any.
-    """
-
-    class Alone(toys.Recall):
-        num_observations = 4
-        feedback = ("dtw_penalty", "aligned_action")  # declared; the offline phase asks for none
-
-    together = make_pair_learner(name)
-    together.pretrain()
-    for k, who in enumerate(toys.Pair.individuals):
-        env = Alone(2)
-        env.individuals = (who,)
-        settings = SETTINGS | {"offline_epochs": 2}
-        alone = named_recipe(name).algorithm(
-            "GruPolicy", env, demonstrations=demonstrations(individuals=(who,)), **settings
-        )
-        run = alone.pretrain()
-        for whole, single in zip(together.offline_progress.history, run.history, strict=True):
-            assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
-        assert run.best_epochs == together.offline_progress.best_epochs[k : k + 1]
-        mine, own = together.q_net.parameters(), alone.q_net.parameters()
-        for stacked, single in zip(mine, own, strict=True):
-            torch.testing.assert_close(stacked[k], single[0], atol=1e-10, rtol=1e-10)

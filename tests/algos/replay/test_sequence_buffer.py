@@ -337,15 +337,6 @@ def test_draws_follow_the_proportional_rule() -> None:
     assert stats.chisquare(counts, expected).pvalue > 0.001
 
 
-def test_importance_weights_by_formula() -> None:
-    buffer, priorities = filled_with_priorities()
-    for progress, beta in ((0.0, 0.4), (0.5, 0.7), (1.0, 1.0), (2.0, 1.0)):
-        batch = buffer.sample(16, progress)
-        probability = priorities[batch.indices[0]] / priorities.sum()
-        weights = (len(priorities) * probability) ** -beta
-        np.testing.assert_allclose(batch.weights[0], weights / weights.max(), rtol=1e-5)
-
-
 def test_uniform_draws_are_uniform_and_unweighted() -> None:
     stream = Stream(1, 2, 2, 4, seed=3)
     buffer = fill(make_buffer(stream, 30, prioritized=False), stream, 80)

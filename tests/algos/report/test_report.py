@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from html_page import Page
+from refusals import refuses
 from report_inputs import (
     HOSTILE,
     bare_inputs,
@@ -102,8 +103,7 @@ def test_inputs_that_do_not_belong_together_are_refused() -> None:
     inputs = report_inputs()
     with pytest.raises(InputError, match="other demonstrations"):
         dataclasses.replace(inputs, demos=inputs.demos.select(condition=0))
-    with pytest.raises(InputError, match="no rollouts of 'dqn'"):
-        dataclasses.replace(inputs, learner="dqn")
+    refuses("no rollouts of 'dqn'", dataclasses.replace, inputs, learner="dqn")
 
 
 def test_values_are_drawn_along_a_path() -> None:

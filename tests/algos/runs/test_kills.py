@@ -1,6 +1,5 @@
 """SIGKILL at random moments, a few: ``benchmarks/kills.py`` does a thousand."""
 
-import importlib.util
 import json
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import load_script
 
 KILLS = Path(__file__).parents[3] / "benchmarks" / "kills.py"
 
@@ -41,11 +41,7 @@ def test_every_command_survives_kills(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".npz", ".json", ".html", ".gif"])
 def test_a_half_written_file_is_noticed(tmp_path: Path, suffix: str) -> None:
-    spec = importlib.util.spec_from_file_location("kills", KILLS)
-    assert spec is not None and spec.loader is not None
-    kills = importlib.util.module_from_spec(spec)
-    sys.modules["kills"] = kills  # dataclasses look for it
-    spec.loader.exec_module(kills)
+    kills = load_script(KILLS)
     path = tmp_path / f"file{suffix}"
     if suffix == ".npz":
         np.savez(path, x=np.arange(9))

@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import listen
 from commands import animarl
+from refusals import refuses
 from small_runs import few, made
 
 from animarl_algos import load_run
@@ -191,8 +193,7 @@ def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatc
         "scenario",
         replace(moth.scenario, species=replace(moth.scenario.species, plume="off")),
     )
-    with pytest.raises(InputError, match="plume of the user's own"):
-        page_model(moth)
+    refuses("plume of the user's own", page_model, moth)
 
 
 def test_a_page_that_is_too_large_is_refused_and_nothing_is_left(
@@ -218,12 +219,7 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def page(browser: Any, page_file: Path) -> Iterator[Any]:
     said: list[str] = []
     context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
-    opened = context.new_page()
-    opened.on("console", lambda message: said.append(message.text))
-    opened.on("pageerror", lambda error: said.append(str(error)))
-    opened.on(
-        "request", lambda asked: said.append(asked.url) if asked.url.startswith("http") else None
-    )
+    opened = listen(context.new_page(), said)
     opened.goto(page_file.as_uri())
     answered(opened)
     yield opened
@@ -415,9 +411,8 @@ def test_hostile_names_stay_text(
     monkeypatch.setattr("animarl_algos.whatif.live_page.page_model", lambda run: model)
     file = write_page(load_run("agent"), tmp_path / "page.html", title=hostile)
     said: list[str] = []
-    opened = browser.new_page()
+    opened = listen(browser.new_page(), said)
     opened.on("dialog", lambda dialog: (said.append(dialog.message), dialog.dismiss()))
-    opened.on("pageerror", lambda error: said.append(str(error)))
     opened.goto(file.as_uri())
     answered(opened)
     assert said == [] and opened.locator("img").count() == 0

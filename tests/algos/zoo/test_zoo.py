@@ -17,7 +17,6 @@ import rl_zoo3
 import rl_zoo3.exp_manager
 import rl_zoo3.utils
 import yaml
-from behaviours import Behaviour, PartlyRandom, Same
 from commands import Done, refused, succeeded
 from gymnasium.envs.classic_control import CartPoleEnv
 from small_runs import few
@@ -32,7 +31,6 @@ from animarl_algos.zoo.__main__ import main, register
 from animarl_algos.zoo.manager import sample_settings, slot_environment, validation_environment
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.locomotion import COAST
 
 AGENT = "AnimaRL/Agent-v0"
 CARTPOLE = ["--env", "CartPole-v1", "-n", "16", "--eval-episodes", "1"]
@@ -389,26 +387,3 @@ def test_the_same_seed_gives_the_same_scores(
         with np.load(file) as evaluations:
             scores.append(evaluations["results"])
     np.testing.assert_array_equal(*scores)
-
-
-@pytest.mark.parametrize("species", SPECIES)
-def test_whoever_follows_the_recordings_scores_above_whoever_does_not(species: str) -> None:
-    """Else the best model of rl_zoo3 would be one that ends its episodes at once."""
-    follows, *others = (
-        mean_score(species, behaviour) for behaviour in (PartlyRandom(0.1), Same(0), Same(COAST))
-    )
-    assert follows > max(others)
-
-
-def mean_score(species: str, behaviour: Behaviour) -> float:
-    """Of the first episode of each of 16 copies and of all individuals, as rl_zoo3 averages."""
-    scored = validation_environment(environment_id(species), 16)
-    world, rng = scored.unwrapped.world, np.random.default_rng(0)  # type: ignore[attr-defined]
-    scored.seed(0)
-    scored.reset()
-    returns: dict[int, float] = {}
-    while len(returns) < scored.num_envs:
-        _, _, done, infos = scored.step(behaviour(world, rng).ravel())
-        for slot in np.flatnonzero(done).tolist():
-            returns.setdefault(slot, infos[slot]["episode"]["r"])
-    return float(np.mean(list(returns.values())))

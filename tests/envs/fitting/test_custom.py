@@ -10,7 +10,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 from recordings import CHASER, PREY, dogs, search
-from refusals import refuses
 
 import animarl_envs
 from animarl_algos.cli.describing import found_by_itself
@@ -183,40 +182,8 @@ def test_conditions_are_labels_that_change_no_reward() -> None:
     assert paid == [0.0, 0.0]
 
 
-def test_fewer_pursuers_are_the_first_ones() -> None:
-    env = gym.make(ID, demos=dogs(3), num_pursuers=1)
-    scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
-    assert scenario.names == ("dog_a", "sheep")
-    whole = dogs(3).select(split="train")
-    assert np.array_equal(scenario.demos.positions, whole.positions[:, [0, 3]])
-
-
 def _told(demos: Demonstrations, **more: Any) -> Demonstrations:
     return replace(demos, provenance={**demos.provenance, **more})
-
-
-GROUP = {"roles": ("pursuer",) * 3}
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({}, "give demos="),
-    ({"demos": None}, "give demos="),
-    ({"demos": 3}, "demos is 3"),
-    ({"demos": "absent.npz"}, "absent.npz: there is no such file"),
-    ({"demos": dogs(2), "num_pursuers": 3}, "dogs.npz holds 2 pursuers: choose at most 2"),
-    ({"demos": dogs(2), "num_pursuers": 0}, "num_pursuers is 0"),
-    ({"demos": dogs(2), "num_pursuers": 1.5}, "num_pursuers is 1.5"),
-    ({"demos": search(), "num_pursuers": 1}, "num_pursuers does not apply"),
-    ({"demos": replace(dogs(2), species="fly", **GROUP)}, "--target"),
-    ({"demos": replace(dogs(2), species="silkmoth")}, "do not fit silkmoth"),
-    ({"demos": search(species="fly")}, "do not fit fly"),
-    ({"demos": dogs(2), "condition": 1}, "condition"),
-    ({"demos": dogs(2), "colour": 1}, "colour"),
-    ({"demos": dogs(2), "contact_radius": -1}, "contact_radius"),
-]
-
-
-@pytest.mark.parametrize(("options", "says"), REFUSED)
-def test_what_cannot_be_made_is_refused(options: dict[str, Any], says: str) -> None:
-    assert says in refuses("", gym.make, ID, **options)
 
 
 @pytest.mark.realdata

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
 from numpy.typing import NDArray
-from recordings import SYNTHETIC
+from recordings import episodes_along
 from refusals import refuses
 from thrust_walks import DT, ROLES, walk
 
@@ -95,22 +95,6 @@ def test_joint_bootstrap_spreads_like_refitting_each_resample() -> None:
     assert (ratio > 0.7).all() and (ratio < 1.4).all()
 
 
-def test_joint_intervals_cover_the_truth() -> None:
-    """Nominal 95 %; percentile intervals of 25 episodes fall a little short of it."""
-    covered = 0
-    for seed in range(32):
-        demos, _ = simulate(100 + seed, episodes=25, steps=20, noise=2e-5)
-        data = transitions(demos, 0)
-        drawn = np.random.default_rng(seed).integers(25, size=(200, 25))
-        weights = np.stack([np.bincount(row, minlength=25) for row in drawn]).astype(float)
-        low, high = np.quantile(
-            bootstrap_joint(data, fit_joint(data), weights), [0.025, 0.975], axis=0
-        )
-        truth = np.array([TRUTH[0].damping, TRUTH[0].thrust])
-        covered += int(np.sum((low <= truth) & (truth <= high)))
-    assert covered >= 52
-
-
 def test_onset_bootstrap_equals_numpy_on_each_resample() -> None:
     demos, _ = simulate(8, episodes=12)
     data = onset_data(demos, 0, onset_threshold=1.5)
@@ -189,13 +173,9 @@ def test_no_onset_is_taken_across_the_border_of_two_episodes() -> None:
     still = np.zeros((4, 2))
     moving = np.column_stack([5.0 + 0.1 * np.arange(4), np.zeros(4)])
     starting = np.column_stack([[9.0, 9.0, 9.02, 9.05], np.zeros(4)])
-    demos = Demonstrations(
-        species="custom", individuals=("a",), roles=("pursuer",), dt=dt, arena=Arena("open"),
-        positions=np.concatenate([still, moving, starting])[:, None], lengths=np.full(3, 4),
-        initial_velocity=np.zeros((3, 1, 2)), condition=np.zeros(3, np.int8),
-        outcome=np.zeros(3, np.int8), split=np.full(3, "train"),
-        recording=np.array(["a", "b", "c"]), provenance=SYNTHETIC,
-    )  # fmt: skip
+    paths = [path[:, None] for path in (still, moving, starting)]
+    alone = {"individuals": ("a",), "roles": ("pursuer",), "arena": Arena("open")}
+    demos = episodes_along(paths, **alone, species="custom", split=np.full(3, "train"))
     data = onset_data(demos, 0, crossing / dt)
     assert data.onset_speed.tolist() == pytest.approx([0.2])
     assert data.onset_episode.tolist() == [2]

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -124,21 +123,6 @@ def test_an_own_environment_sees_headings_and_goes_through_json(tmp_path: Path) 
     options = {"senses_heading": False, "turning": None, "observation": "full"}
     plainly = gym.make("AnimaRL/Custom-v0", demos=path, **options)
     assert env.observation_space.shape[0] == plainly.observation_space.shape[0] + 6  # type: ignore[index]
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"turning": {"wolf": SLOW}}, "turning names 'wolf': choose among dog_a, dog_b, sheep"),
-        ({"turning": (SLOW,)}, "give one for each of dog_a, dog_b, sheep"),
-        ({"turning": 3}, "turning is 3: give one for each"),
-        ({"turning": {"sheep": {"gain": 1.0}}}, "turning of sheep is .*: name persistence, gain"),
-        ({"turning": (0.5, None, None)}, "turning of dog_a is 0.5: give a Turning"),
-        ({"senses_heading": 1}, "senses_heading is 1: choose True or False"),
-    ],
-)
-def test_what_is_no_turning_is_refused(options: dict[str, Any], says: str) -> None:
-    refuses(says, with_options, species_of(dogs(2)), **options)
 
 
 def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -> None:

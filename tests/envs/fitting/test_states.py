@@ -12,10 +12,8 @@ from recordings import write_tracks
 from refusals import refuses
 from small_runs import few
 from thrust_walks import DT, walk
-from typer.testing import CliRunner
 
 from animarl_algos.cli.describing import hints
-from animarl_algos.cli.main import app
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos import Demonstrations
@@ -148,9 +146,7 @@ def test_animarl_fit_warns_of_noise_that_matters(tmp_path) -> None:  # type: ign
         demos, _ = noisy(0.2, share)
         real = replace(demos, provenance={**demos.provenance, "synthetic": False})
         file = real.save(tmp_path / f"{share}.npz")
-        done = CliRunner().invoke(app, ["fit", str(file), "--bootstrap", "0"])
-        assert done.exit_code == 0, done.output
-        assert ("see --method noise" in done.output) == warned
+        assert ("see --method noise" in animarl("fit", file, "--bootstrap", 0)) == warned
 
 
 def test_a_run_takes_it_with_one_thrust(tmp_path: Path) -> None:

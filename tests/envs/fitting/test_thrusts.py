@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from refusals import refuses
-from thrust_walks import DT, MULTIPLES, ROLES, TRUTH, three, walk
+from thrust_walks import DT, MULTIPLES, TRUTH, three, walk
 
 import animarl_envs
 from animarl_algos.data.species_data import SpeciesDemonstrations
@@ -28,7 +28,7 @@ from animarl_envs.locomotion import (
     infer_actions,
 )
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import AGENT, FLY, SILKMOTH, ChaseSpecies
+from animarl_envs.species import AGENT, FLY, SILKMOTH, ChaseSpecies, Species
 from animarl_envs.species.options import with_options
 from animarl_envs.views.common import scenario_as_data
 from animarl_envs.worlds import make_world
@@ -45,15 +45,16 @@ def test_magnitudes_are_an_option_by_name() -> None:
     refuses("predator_0 3, predator_1 1", replace, AGENT, locomotion=mixed)
 
 
-def test_worlds_and_numpy_move_alike() -> None:
-    species = three(AGENT)
+@pytest.mark.parametrize("plain", [AGENT, SILKMOTH], ids=["agent", "silkmoth"])
+def test_worlds_and_numpy_move_alike(plain: Species) -> None:
+    species = three(plain)
     world = make_world(make_scenario(species, demos=None), 50)
     world.seed(np.arange(50))
     world.reset()
     rng = np.random.default_rng(0)
     for _ in range(10):
-        actions = rng.integers(37, size=(50, 3))
-        towards = focus_directions(world.position, ROLES)
+        actions = rng.integers(37, size=(50, species.num_individuals))
+        towards = focus_directions(world.position, species.roles)
         expected = np.stack(
             [apply_actions(world.velocity[:, i], actions[:, i], towards[:, i], m, species.dt)
              for i, m in enumerate(species.locomotion)], axis=1,
@@ -107,22 +108,6 @@ def test_thrusts_go_with_other_thrusts_and_dampings() -> None:
     alike = with_options(FLY, thrusts=3, locomotion=Locomotion(0.1, 2.0))
     assert alike.locomotion == (Locomotion(0.1, 2.0, MULTIPLES),) * 3
     assert with_options(AGENT, thrusts=2, num_pursuers=4).thrusts == 2
-
-
-@pytest.mark.parametrize("thrusts", [0, -1, MOST_THRUSTS + 1, 2.0, True, "3", [3]])
-@pytest.mark.parametrize("env_id", ["AnimaRL/Fly-v0", "AnimaRL/Custom-v0"])
-def test_numbers_of_thrusts_that_cannot_be_are_refused(env_id: str, thrusts: Any) -> None:
-    given = {"demos": load_packaged("fly"), "thrusts": thrusts}
-    refuses("^thrusts is .*, 1 to 10$", gym.make, env_id, **given)
-
-
-@pytest.mark.parametrize("locomotion", [
-    {"female": {"magnitudes": MULTIPLES}}, Locomotion(0.1, 1.0, MULTIPLES),
-    {"female": Locomotion(0.1, 1.0, (0.5,))}, [1.0, 1.0, Locomotion(0.1, 1.0, MULTIPLES)],
-])  # fmt: skip
-def test_thrusts_and_magnitudes_at_once_are_refused(locomotion: Any) -> None:
-    told = "thrusts is 3 but locomotion gives magnitudes: leave one"
-    refuses(told, gym.make, "AnimaRL/Fly-v0", thrusts=3, locomotion=locomotion)
 
 
 def test_your_own_animals_have_their_thrusts_fitted() -> None:
@@ -190,40 +175,5 @@ def test_a_model_of_other_magnitudes_is_refused() -> None:
     make, told = partial(make_world, scenario), {"method": "dqn", "seed": 0, "repetitions": 1}
     refuses("thrust magnitudes", collect_rollouts, make, model, **told)
     refuse_other_actions(37, 37)
-    actions, _ = RandomPolicy(0, 37).predict(np.zeros((5000, 4)))
-    assert set(actions.tolist()) == set(range(37))
-
-
-def test_thrusts_move_as_the_same_magnitudes_do() -> None:
-    every = {name: {"magnitudes": MULTIPLES} for name in FLY.individuals}
-    given: list[dict[str, Any]] = [{"thrusts": 3}, {"locomotion": every}]
-    worlds = [make_world(make_scenario("fly", demos=None, **options), 20) for options in given]
-    rng = np.random.default_rng(0)
-    for world in worlds:
-        world.seed(np.arange(20))
-        world.reset()
-    for _ in range(20):
-        actions = rng.integers(37, size=(20, 3))
-        for world in worlds:
-            world.step(actions)
-        np.testing.assert_array_equal(worlds[0].position, worlds[1].position)
-        np.testing.assert_array_equal(worlds[0].observation, worlds[1].observation)
-
-
-def test_the_searcher_and_numpy_move_alike() -> None:
-    species = three(SILKMOTH)
-    world = make_world(make_scenario(species, demos=None), 37)
-    world.reset()
-    upwind = np.tile([-1.0, 0.0], (37, 1))
-    for _ in range(3):
-        actions = np.arange(37)
-        expected = apply_actions(
-            world.velocity[:, 0], actions, upwind, species.locomotion[0], species.dt
-        )
-        world.step(actions[:, None])
-        np.testing.assert_allclose(world.velocity[:, 0], expected, rtol=1e-12, atol=1e-15)
-
-
-def test_random_policies_use_all_actions() -> None:
     actions, _ = RandomPolicy(0, 37).predict(np.zeros((5000, 4)))
     assert set(actions.tolist()) == set(range(37))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import python
 
 ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
 ROWS_IN_A_GIGABYTE = 28_800_000
@@ -72,10 +73,7 @@ def test_imports_read_a_large_table_in_pieces(tmp_path: Path) -> None:
         "assert demos.lengths.sum() == 9999 and told and told[-1] == 1.0 == max(told)\n"
         "print((peak() - before) / Path(sys.argv[1]).stat().st_size)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
-    )
-    assert float(done.stdout) < 6.0
+    assert float(python(script, path).stdout) < 6.0
 
 
 def test_ctrl_c_while_a_table_is_imported_leaves_what_was_there(tmp_path: Path) -> None:

@@ -1,16 +1,14 @@
 """Every line that can be copied from the pages on data runs, and the fitting table is current."""
 
-import importlib.util
 import re
 import shlex
 import shutil
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from commands import animarl
-from pages import run_programs
+from pages import load_script, run_programs
 
 from animarl_envs.importing.readers import registry
 from tools.fuzz.layouts import KINDS, POSE, write_slp
@@ -94,35 +92,25 @@ def test_python_of_the_reader_pages_runs() -> None:
     registry._READERS.pop("two-columns")
 
 
-def table_maker() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("table", DOCS / "make_fitting_table.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-SETS = list(table_maker().SETS)
+MAKER = load_script(DOCS / "make_fitting_table.py")
 
 
 @pytest.mark.realdata
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("name", MAKER.SETS)
 def test_reader_to_fit_joint_rmse_is_below_onset_rmse_and_in_the_table(
     name: str, data_dir: Path
 ) -> None:
-    maker = table_maker()
-    demos = maker.SETS[name](data_dir)
-    onset, joint = maker.both_fits(demos)
-    assert maker.pooled(joint) < maker.pooled(onset)
+    demos = MAKER.SETS[name](data_dir)
+    onset, joint = MAKER.both_fits(demos)
+    assert MAKER.pooled(joint) < MAKER.pooled(onset)
     page = (PAGES / "fitting.md").read_text()
-    for row in maker.rows(name, demos):
+    for row in MAKER.rows(name, demos):
         assert row in page
 
 
 @pytest.mark.realdata
 def test_reader_to_fit_joint_rmse_is_below_onset_rmse_of_moths_and_clip(data_dir: Path) -> None:
-    maker = table_maker()
-    for load in (maker.silkmoths, maker.sleap_clip, maker.fly_pair):
-        onset, joint = maker.both_fits(load(data_dir))
-        assert maker.pooled(joint) < maker.pooled(onset)
+    for load in (MAKER.silkmoths, MAKER.sleap_clip, MAKER.fly_pair):
+        onset, joint = MAKER.both_fits(load(data_dir))
+        assert MAKER.pooled(joint) < MAKER.pooled(onset)

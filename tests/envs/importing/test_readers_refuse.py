@@ -35,6 +35,7 @@ def test_readers_refuse_text_truncation_folders_and_absence(tmp_path: Path) -> N
         refuses(f"{tmp_path}: it is a folder", read, tmp_path, source)
     refuses("no such file", read, tmp_path / "absent.npz")
     refuses("source 'nonsense' is unknown", read, whole, "nonsense")
+    refuses("give it with --fps", read, write_npy(tmp_path))
 
 
 def test_readers_refuse_headers_that_ask_for_too_much(tmp_path: Path) -> None:
@@ -70,10 +71,6 @@ def test_a_pickle_that_repeats_itself_is_refused(
         archive.writestr("pos.npy", buffer.getvalue() + pickle.dumps(laugh))
     refuses(r"MemoryError|more memory|processor time", read, path)
     assert load_npy(buffer.getvalue() + pickle.dumps([1]), path, unpickle=load_plain) == [1]
-
-
-def test_a_frame_rate_is_asked_for_where_the_file_has_none(tmp_path: Path) -> None:
-    refuses("give it with --fps", read, write_npy(tmp_path))
 
 
 def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from recordings import dogs, search
 from refusals import refuses
 
 import animarl_envs
@@ -15,6 +16,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.species.turning import Turning
 
 MAKE: dict[str, Callable[..., Any]] = {
     "single": lambda name, **given: gym.make(animarl_envs.environment_id(name), **given),
@@ -25,6 +27,7 @@ MAKE: dict[str, Callable[..., Any]] = {
 }
 every_view = pytest.mark.parametrize("view", MAKE)
 NAN = float("nan")
+TURNING = Turning(persistence=0.2, gain=0.3, slip=0.3, speed=0.5)
 
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
     # unknown options
@@ -87,6 +90,65 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"start": "somewhere"}, "start is 'somewhere'"),
     ("agent", {"start": np.full((3, 2), 5.0)}, "start lies out of bounds"),
     ("agent", {"start": [["x", "y"]]}, "start is no array of numbers"),
+    ("agent", {"demos": None, "num_targets": 0}, "num_targets is 0: it must be a whole number"),
+    ("agent", {"demos": None, "num_targets": 2, "num_pursuers": 2}, "leave one of"),
+    ("agent", {"demos": None, "individuals": ["a", "b"], "num_targets": 2}, "give one of the two"),
+    ("agent", {"demos": None, "lone_pursuer": 1}, "choose True or False"),
+    ("agent", {"num_targets": 2}, "holds 1 target: choose at most 1, or start='uniform'"),
+    # demonstrations of one's own
+    ("custom", {}, "give demos="),
+    ("custom", {"demos": None}, "give demos="),
+    ("custom", {"demos": 3}, "demos is 3"),
+    ("custom", {"demos": "absent.npz"}, "absent.npz: there is no such file"),
+    ("custom", {"demos": dogs(2), "num_pursuers": 3}, "dogs.npz holds 2 pursuers: choose at mo"),
+    ("custom", {"demos": dogs(2), "num_pursuers": 0}, "num_pursuers is 0"),
+    ("custom", {"demos": dogs(2), "num_pursuers": 1.5}, "num_pursuers is 1.5"),
+    ("custom", {"demos": search(), "num_pursuers": 1}, "num_pursuers does not apply"),
+    ("custom", {"demos": replace(dogs(2), species="fly", roles=("pursuer",) * 3)}, "--target"),
+    ("custom", {"demos": replace(dogs(2), species="silkmoth")}, "do not fit silkmoth"),
+    ("custom", {"demos": search(species="fly")}, "do not fit fly"),
+    ("custom", {"demos": dogs(2), "condition": 1}, "condition"),
+    ("custom", {"demos": dogs(2), "colour": 1}, "colour"),
+    ("custom", {"demos": dogs(2), "contact_radius": -1}, "contact_radius"),
+    # thrusts
+    *((name, {"demos": load_packaged("fly"), "thrusts": thrusts}, ", 1 to 10")
+      for name in ("fly", "custom") for thrusts in (0, -1, 11, 2.0, True, "3", [3])),
+    *(("fly", {"thrusts": 3, "locomotion": moves}, "3 but locomotion gives magnitudes: leave one")
+      for moves in ({"female": {"magnitudes": (2, 1)}}, Locomotion(0.1, 1.0, (2, 1)),
+                    {"female": Locomotion(0.1, 1.0, (0.5,))},
+                    [1.0, 1.0, Locomotion(0.1, 1.0, (2, 1))])),
+    # headings
+    *(("custom", {"demos": dogs(2), "turning": turning}, says) for turning, says in (
+        ({"wolf": TURNING}, "turning names 'wolf': choose among dog_a, dog_b, sheep"),
+        ((TURNING,), "give one for each of dog_a, dog_b, sheep"),
+        (3, "turning is 3: give one for each"),
+        ({"sheep": {"gain": 1.0}}, "name persistence, gain"),
+        ((0.5, None, None), "turning of dog_a is 0.5: give a Turning"),
+    )),
+    ("custom", {"demos": dogs(2), "senses_heading": 1}, "senses_heading is 1: choose True or Fal"),
+    # what is seen, and where free animals face
+    ("fly", {"observation": "rich"}, "observation is 'rich': choose one of 'compact', 'full', 'pa"),
+    *(("shoal", {"focus": rule}, "choose 'course', 'nearest', 'centre K'")
+      for rule in ("prey", "centre", "centre 0", "direction 0 0", "point 1 x")),
+    ("agent", {"focus": "nearest"}, "focus is 'nearest' but prey is pursued"),
+    # observations that would be infinite
+    *(("agent", {"demos": None, "observation": "full"} | options, "float32 cannot hold: choose")
+      for options in (
+        {"locomotion": {"prey": {"thrust": 1e-320}}}, {"locomotion": {"prey": {"thrust": 1e308}}},
+        {"locomotion": {"prey": {"magnitudes": (1e300,)}}}, {"arena": 1e200}, {"dt": 1e300},
+        {"observation_noise": 1e300},
+    )),
+    # a search
+    *(("silkmoth", {"demos": None, "start_region": region}, "give the lowest")
+      for region in ((0.1, 0.0, 0.1), (0.0, 0.01, 0.01), (0.0, 0.4), "wide", 3)),
+    ("silkmoth", {"odour_decay": 0.0}, "odour_decay"),
+    ("silkmoth", {"trace_decay": 0.0}, "trace_decay"),
+    ("silkmoth", {"antenna_angle": 120.0}, "antenna_angle"),
+    ("silkmoth", {"train_plumes": ()}, "train_plumes"),
+    ("silkmoth", {"observation": "most"}, "'full', 'paper'"),
+    ("silkmoth", {"turning": 0.3}, "give a Turning"),
+    ("silkmoth", {"turning": {"gain": 1.0}}, "persistence, gain, slip and speed"),
+    ("silkmoth", {"turning": vars(TURNING) | {"persistence": 1.0}}, "below 1"),
     # the odour
     ("silkmoth", {"plume": "windy"}, "'model', 'off', 'continuous'"),
     ("silkmoth", {"odour_baseline": 1.0}, "odour_baseline is 1.0"),
@@ -95,7 +157,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("silkmoth", {"test_plumes": 3}, "test_plumes is 3"),
     # rendering
     ("agent", {"render_mode": "ascii"}, "render"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "options", "says"), REFUSED)
@@ -116,34 +178,25 @@ def test_refused_options_of_the_other_views(
     refuses(re.escape(says), MAKE[view], name, **options)
 
 
-@pytest.mark.parametrize("view", ["single", "vector"])
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("views", "options", "says"),
     [
-        ({"focal": "wolf"}, "focal is 'wolf'"),
-        ({"others": "dance"}, "'dance'"),
-        ({"others": {"wolf": "coast"}}, "others names 'wolf'"),
-        ({"others": {"predator_0": "coast"}}, "others names 'predator_0'"),
-        ({"others": {"prey": 3}}, "the rule 3"),
-        ({"demos": None, "others": "replay"}, "cannot replay"),
-        ({"drivers": {"prey": "coast"}}, "drivers is an option of parallel_env"),
+        ("single vector", {"focal": "wolf"}, "focal is 'wolf'"),
+        ("single vector", {"others": "dance"}, "'dance'"),
+        ("single vector", {"others": {"wolf": "coast"}}, "others names 'wolf'"),
+        ("single vector", {"others": {"predator_0": "coast"}}, "others names 'predator_0'"),
+        ("single vector", {"others": {"prey": 3}}, "the rule 3"),
+        ("single vector", {"demos": None, "others": "replay"}, "cannot replay"),
+        ("single vector", {"drivers": {"prey": "coast"}}, "drivers is an option of parallel_env"),
+        ("parallel", {"focal": "prey"}, "option 'focal' is unknown"),
+        ("parallel", {"drivers": {"wolf": "coast"}}, "individual 'wolf' is unknown"),
+        ("parallel", {"drivers": {"prey": "dance"}}, "prey is driven by 'dance'"),
+        ("parallel", {"demos": None, "drivers": {"prey": "replay"}}, "cannot replay"),
     ],
 )
-def test_refused_roles(view: str, options: dict[str, Any], says: str) -> None:
-    refuses(says, MAKE[view], "agent", **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"focal": "prey"}, "option 'focal' is unknown"),
-        ({"drivers": {"wolf": "coast"}}, "individual 'wolf' is unknown"),
-        ({"drivers": {"prey": "dance"}}, "prey is driven by 'dance'"),
-        ({"demos": None, "drivers": {"prey": "replay"}}, "cannot replay"),
-    ],
-)
-def test_refused_drivers(options: dict[str, Any], says: str) -> None:
-    refuses(says, MAKE["parallel"], "agent", **options)
+def test_refused_roles_and_drivers(views: str, options: dict[str, Any], says: str) -> None:
+    for view in views.split():
+        refuses(says, MAKE[view], "agent", **options)
 
 
 def test_refused_vectors() -> None:

@@ -371,19 +371,3 @@ def test_registry_packaged_demonstrations_end_as_recorded(name: str) -> None:
             continue
         assert np.array_equal(over[running], steps[running] == t)
         assert np.array_equal(world.outcome[steps == t], demos.outcome[steps == t])
-
-
-@pytest.mark.parametrize("name", packaged_names())
-def test_registry_packaged_demonstrations_are_the_default(name: str) -> None:
-    env = gym.make(animarl_envs.environment_id(name), recorded=True)
-    _, info = env.reset(seed=0)
-    assert (info["scenario"]["start"], info["scenario"]["split"]) == ("demo", "train")
-    assert info["demo"] >= 0
-    check_env(env.unwrapped, skip_render_check=True)
-    sb3_check_env(env.unwrapped)
-    parallel_api_test(animarl_envs.parallel_env(name, recorded=True), num_cycles=60)
-    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8, recorded=True)
-    observations, _ = vector.reset(seed=0)
-    for k in range(200):
-        assert vector.observation_space.contains(observations)
-        observations, *_ = vector.step(np.full(8, k // 10 % 13))

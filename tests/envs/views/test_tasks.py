@@ -122,11 +122,6 @@ def test_tasks_for_memory_show_the_hits_of_this_step_alone() -> None:
     assert env.single_observation_space.shape == (2,)
 
 
-@pytest.mark.parametrize("given", [(0.1, 0.0, 0.1), (0.0, 0.01, 0.01), (0.0, 0.4), "wide", 3])
-def test_tasks_refuse_a_region_without_starts(given: Any) -> None:
-    refuses(r"start_region is .*: give the lowest", with_options, SILKMOTH, start_region=given)
-
-
 def test_tasks_without_recorded_starts_refuse_the_reward_of_recordings() -> None:
     refuses("recorded=True", DTWReward, gym.make("AnimaRL/Silkmoth-v0"))
 

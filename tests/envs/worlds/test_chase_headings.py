@@ -15,8 +15,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.scenario import make_scenario, with_options
-from animarl_envs.worlds import demonstration_observations, mirror
-from animarl_envs.worlds.chase.headings import recorded_bodies
+from animarl_envs.worlds import mirror
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 Array = NDArray[Any]
@@ -192,23 +191,3 @@ def test_a_mirrored_world_with_mirrored_slips_is_seen_mirrored() -> None:
         world.step(actions)
         other.step(image.actions[actions])
         assert other.observation == pytest.approx(image.observation(world.observation), abs=1e-4)
-
-
-@pytest.mark.parametrize("with_headings", [True, False])
-def test_recorded_frames_are_seen_as_the_world_sees_them(with_headings: bool) -> None:
-    demos = recorded() if with_headings else dogs(2)
-    drivers = dict.fromkeys(demos.individuals, "replay")
-    world = world_of(8, demos, drivers=drivers, contact_radius=1e-9)
-    world.reset(demo=np.arange(8))
-    seen = demonstration_observations(species(), demos)
-    heading = recorded_bodies(
-        species(), demos.positions, demos.velocities(), demos.steps(), demos.headings()
-    ).heading.T
-    for t in range(int(demos.lengths.min())):
-        frames = demos.offsets[:-1] + t
-        assert world.observation == pytest.approx(seen[frames], abs=1e-6)
-        assert np.exp(1j * world.heading) == pytest.approx(np.exp(1j * heading[frames]))
-        world.step(np.zeros((8, 3), dtype=int))
-    shown = np.exp(1j * demos.signals["heading"][:, [0, 2]]) if with_headings else None
-    if shown is not None:
-        assert np.exp(1j * heading[:, [0, 2]]) == pytest.approx(shown)

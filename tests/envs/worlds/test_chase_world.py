@@ -1,26 +1,27 @@
-"""The chase world against a plain reference, against recorded episodes, and its invariants."""
+"""The chase world against a plain reference and recorded episodes, its walls and scripted rules."""
 
 import math
 import os
 import pickle
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pages import python
+from recordings import dogs
 
-from animarl_envs.arena import Arena
+from animarl_envs.arena import SHAPE_CODES, Arena
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
-from animarl_envs.locomotion import COAST
+from animarl_envs.locomotion import COAST, Locomotion, apply_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world
+from animarl_envs.worlds.chase.kernels import LOOKS, SOFTENING, WALL_WEIGHT, decide
 from animarl_envs.worlds.chase.neighbours import FEW
 from animarl_envs.worlds.chase.world import ChaseWorld, observe
 
@@ -194,25 +195,17 @@ def test_a_late_observation_is_that_of_steps_ago_and_noise_has_the_stated_deviat
     assert abs(error.mean()) < 0.002
 
 
-def world_of(pursuers: int, copies: int = 3) -> ChaseWorld:
-    scenario = make_scenario("agent", demos=None, num_pursuers=pursuers)
-    world = make_world(scenario, copies)
-    assert isinstance(world, ChaseWorld)
-    return world
-
-
 @pytest.mark.parametrize("pursuers", [3, 12])
 def test_equal_distances_are_ordered_by_index(pursuers: int) -> None:
     """On a circle around the target all are as far: it sees them in the order of their indices."""
-    species = world_of(pursuers).scenario.species
+    made = world(num_pursuers=pursuers)
     angle = 2 * np.pi * np.arange(pursuers) / pursuers
     position = np.zeros((1, pursuers + 1, 2))
     position[0, :-1, 0] = np.sign(np.cos(angle)) * 0.5  # only two places: distances tie exactly
     velocity = np.zeros_like(position)
     velocity[0, :-1, 1] = np.arange(pursuers)  # tells them apart
-    seen, _ = observe(species, position, velocity)  # type: ignore[arg-type]
-    world = world_of(pursuers)
-    names = [component.name for component in world.observation_components]
+    seen, _ = observe(made.scenario.species, position, velocity)  # type: ignore[arg-type]
+    names = [component.name for component in made.observation_components]
     going = [at for at, one in enumerate(names) if one[:5] == "other" and "velocity y" in one]
     np.testing.assert_allclose(seen[0, -1, going][:pursuers], np.arange(pursuers))
 
@@ -241,16 +234,14 @@ def test_nothing_but_observations_depends_on_who_observes(pursuers: int, target:
 
 
 def test_the_focus_at_distance_zero_is_the_same_in_worlds_and_in_recordings() -> None:
-    species = world_of(2).scenario.species
+    made = world(num_pursuers=2)
+    species = made.scenario.species
     position = np.array([[[0.1, 0.2], [0.5, 0.5], [0.1, 0.2]], [[0.3, 0.1]] * 3])
     _, towards = observe(species, position, np.zeros_like(position))  # type: ignore[arg-type]
     np.testing.assert_allclose(towards, focus_directions(position, species.roles))
-    world = world_of(2, 1)
-    world._position[...] = np.array([[0.0, 0.3], [0.5, 0.0], [0.2, 0.1]])[:, :, None]
-    world.reset(np.zeros(1, dtype=bool))  # observes again
-    world._position[0] = world._position[2]
-    world.reset(np.zeros(1, dtype=bool))  # observes again
-    np.testing.assert_allclose(world.towards, focus_directions(world.position, species.roles))
+    made._position[...] = np.array([[0.2, 0.1], [0.5, 0.0], [0.2, 0.1]])[:, :, None]
+    made.reset(np.zeros(1, dtype=bool))  # observes again
+    np.testing.assert_allclose(made.towards, focus_directions(made.position, species.roles))
 
 
 def test_so_many_pursuers_that_hardly_ever_all_are_apart_start_without_contact() -> None:
@@ -264,22 +255,6 @@ def test_so_many_pursuers_that_hardly_ever_all_are_apart_start_without_contact()
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"locomotion": {"prey": {"thrust": 1e-320}}},
-        {"locomotion": {"prey": {"thrust": 1e308}}},
-        {"locomotion": {"prey": {"magnitudes": (1e300,)}}},
-        {"arena": 1e200},
-        {"dt": 1e300},
-        {"observation_noise": 1e300},
-    ],
-)
-def test_options_that_make_observations_infinite_are_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="which float32 cannot hold: choose"):
-        make_world(make_scenario("agent", demos=None, **options))
-
-
-@pytest.mark.parametrize(
     "options", [{"locomotion": {"prey": {"thrust": 1e-30}}}, {"arena": 1e20}, {"dt": 1e-9}]
 )
 def test_odd_options_keep_observations_finite(options: dict[str, Any]) -> None:
@@ -288,6 +263,35 @@ def test_odd_options_keep_observations_finite(options: dict[str, Any]) -> None:
     for action in range(13):
         world.step(np.full((1, 3), action))
         assert np.isfinite(world.observation).all()
+
+
+@pytest.mark.parametrize("shape", ["square", "disc"])
+def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
+    made = world(50, arena=shape, rebound=True)
+    rng = np.random.default_rng(0)
+    touched = 0
+    for _ in range(120):
+        made.step(rng.choice([0, 6, 6, 6, 3], size=(50, 3)))
+        out = np.abs(made.position).max(axis=2)
+        if shape == "disc":
+            out = np.linalg.norm(made.position, axis=2)
+        assert out.max() <= 1.0
+        touched += int((out > 1.0 - 1e-9).sum())
+        assert (made.outcome >= 0).all() and (made.components[..., 2] == 0.0).all()
+        made.reset(made.terminated | made.truncated)
+    assert touched > 100
+
+
+def test_who_is_replayed_keeps_to_the_recording_beyond_a_wall() -> None:
+    demos = dogs(2)
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    small = replace(demos, arena=Arena("disc", 0.9 * np.abs(demos.positions).max(), 9.0))
+    made = ChaseWorld(make_scenario("custom", demos=small, split=None, drivers=drivers), len(demos))
+    made.reset(demo=np.arange(len(demos)))
+    for t in range(1, int(demos.lengths.min())):
+        made.step(np.zeros((len(demos), 3), dtype=int))
+        assert np.array_equal(made.position, demos.positions[demos.offsets[:-1] + t])
+        assert not made.terminated.any()
 
 
 PROGRAM = """
@@ -308,10 +312,102 @@ def test_kernels_run_as_they_are_written_where_numba_is_off() -> None:
     """So that ``make mutants`` sees them."""
     printed = []
     for off in ("1", "0"):
-        done = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", PROGRAM],
-            env=os.environ | {"NUMBA_DISABLE_JIT": off}, capture_output=True, text=True, check=True,
-        )  # fmt: skip
+        told = {"NUMBA_DISABLE_JIT": off, "PYTHONWARNINGS": "ignore"}
+        done = python(PROGRAM, env=os.environ | told)
         printed.append(np.array(done.stdout.split(), dtype=float))
     assert len(printed[0]) > 1000
     np.testing.assert_allclose(printed[0], printed[1], atol=1e-5)
+
+
+DT = 0.1
+OWN = Locomotion(0.2, 3.0, (1.0, 0.4))
+SQUARE, DISC, OPEN = (SHAPE_CODES[name] for name in ("square", "disc", "open"))
+
+
+def unit(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def moves(
+    own: Locomotion, who: int, given: tuple[NDArray[np.float64], ...], shape: int, size: float,
+    lone: bool = False,
+) -> NDArray[np.uint64]:  # fmt: skip
+    """What ``decide`` says of positions, velocities and focus directions ``(B, K, 2)``."""
+    position, velocity, towards = (np.ascontiguousarray(a.transpose(1, 2, 0)) for a in given)
+    individuals, _, copies = position.shape
+    actions = np.full((individuals, copies), 77, dtype=np.uint64)
+    pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * individuals)
+    decide(
+        who, position, velocity, towards, np.full(individuals, own.damping),
+        np.full(individuals, own.thrust), pushes, DT, shape, size, lone, actions,
+    )  # fmt: skip
+    others = np.delete(actions, who, axis=0)
+    assert (others == 77).all()  # a rule speaks for its own individual alone
+    return actions[who]
+
+
+def scene(
+    individuals: int, copies: int, size: float, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    rng = np.random.default_rng(seed)
+    return (
+        rng.uniform(-size, size, (copies, individuals, 2)),
+        rng.normal(0, 0.5, (copies, individuals, 2)),
+        unit(rng.uniform(0, 2 * np.pi, (copies, individuals))),
+    )
+
+
+@pytest.mark.parametrize("individuals", [2, 3])
+@pytest.mark.parametrize("shape", [SQUARE, DISC, OPEN])
+def test_the_target_takes_the_action_of_the_lowest_cost(individuals: int, shape: int) -> None:
+    size, copies, target = 1.5, 80, individuals - 1
+    position, velocity, towards = scene(individuals, copies, size, seed=3)
+    if shape == SQUARE:
+        position[:40, target, 0] *= 0.1  # some near one wall alone
+        position[:40, target, 1] = 1.3
+    chosen = moves(OWN, target, (position, velocity, towards), shape, size)
+    margin, steps = 0.25 * size, math.ceil(math.sqrt(size / OWN.thrust) / DT)
+    focus = position[:, target, None] - position[:, :target]
+    focus /= np.linalg.norm(focus, axis=-1, keepdims=True)
+    ahead = np.zeros(copies, dtype=int)
+    costs = np.zeros((OWN.num_actions, copies))
+    for k in range(OWN.num_actions):
+        place, speed = position[:, target], velocity[:, target]
+        chaser, pace = position[:, :target], velocity[:, :target]
+        for t in range(1, steps + 1):
+            speed = apply_actions(speed, np.full(copies, k), towards[:, target], OWN, DT)
+            place = place + speed * DT
+            pace = np.stack(
+                [apply_actions(pace[:, j], ahead, focus[:, j], OWN, DT) for j in range(target)], 1
+            )
+            chaser = chaser + pace * DT
+            if t not in [(look + 1) * steps // LOOKS for look in range(LOOKS)]:
+                continue
+            square = shape == SQUARE
+            reach = np.abs(place) if square else np.linalg.norm(place, axis=1, keepdims=True)
+            depth = np.maximum(reach - (size - margin), 0.0) / margin * (shape != OPEN)
+            gap = np.linalg.norm(chaser - place[:, None], axis=-1) / size
+            costs[k] += WALL_WEIGHT * (depth**2).sum(axis=1)
+            costs[k] += (1.0 / (gap**2 + SOFTENING)).sum(axis=1)
+    np.testing.assert_array_equal(chosen, costs.argmin(axis=0))
+    assert len(set(chosen.tolist())) > 5
+
+
+def test_pursuers_accelerate_straight_at_the_target() -> None:
+    for who in (0, 1):
+        assert (moves(OWN, who, scene(3, 20, 1.0, seed=2), SQUARE, 1.0) == 0).all()
+
+
+def test_of_equal_actions_the_first_is_taken() -> None:
+    still = Locomotion(0.2, 1e-300)  # so weak that no action moves anybody
+    assert (moves(still, 2, scene(3, 20, 1.0, seed=1), SQUARE, 1.0) == 0).all()
+
+
+def test_each_target_of_a_lone_pursuer_runs_from_it_alone() -> None:
+    """As if there were the two of them; the pursuer accelerates straight at its focus."""
+    position, velocity, towards = scene(4, 60, 1.5, seed=4)
+    for who in range(3):
+        pair = tuple(each[:, [3, who]] for each in (position, velocity, towards))
+        chosen = moves(OWN, who, (position, velocity, towards), DISC, 1.5, lone=True)
+        np.testing.assert_array_equal(chosen, moves(OWN, 1, pair, DISC, 1.5))
+    assert (moves(OWN, 3, (position, velocity, towards), DISC, 1.5, lone=True) == 0).all()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from recordings import SYNTHETIC
+from recordings import SYNTHETIC, episodes_along
 from refusals import refuses
 
 import animarl_envs
@@ -28,13 +28,11 @@ def group(animals: int, episodes: int = 6, arena: str = "disc") -> Demonstration
     law = shoal.ZonalLaw()
     paths = shoal.simulate(law, episodes, animals, STEPS, np.random.default_rng(0)) / 10.0
     field = Arena(arena, 1.0, 1.1, rebound=True) if arena != "open" else Arena("open", 1.0)
-    return Demonstrations(
-        species="custom", individuals=tuple(f"fish_{k}" for k in range(animals)),
-        roles=("pursuer",) * animals, dt=DT, arena=field, positions=np.concatenate(list(paths)),
-        lengths=np.full(episodes, STEPS + 1), initial_velocity=(paths[:, 1] - paths[:, 0]) / DT,
-        condition=np.zeros(episodes), outcome=np.full(episodes, UNFINISHED),
+    return episodes_along(
+        list(paths), species="custom", individuals=tuple(f"fish_{k}" for k in range(animals)),
+        initial_velocity=(paths[:, 1] - paths[:, 0]) / DT, roles=("pursuer",) * animals,
+        arena=field, outcome=np.full(episodes, UNFINISHED),
         split=["train"] * (episodes - 2) + ["val", "test"],
-        recording=np.arange(episodes).astype(str), provenance=SYNTHETIC,
     )  # fmt: skip
 
 
@@ -91,12 +89,6 @@ def test_focus_rules_hold_in_world_labels_and_tracking(rule: str) -> None:
     misses = one_step_misses(scenario.demos, scenario.species.locomotion)
     starts = scenario.demos.offsets[:-1]
     np.testing.assert_array_equal(followed.actions[starts], misses[starts].argmin(axis=-1))
-
-
-@pytest.mark.parametrize("rule", ["prey", "centre", "centre 0", "direction 0 0", "point 1 x"])
-def test_focus_rules_that_are_none_are_refused(rule: str) -> None:
-    refuses("choose 'course', 'nearest', 'centre K'", make_scenario, "shoal", focus=rule)
-    refuses("focus is 'nearest' but prey is pursued", make_scenario, "agent", focus="nearest")
 
 
 def test_the_nearest_few_do_not_depend_on_what_was_seen_before() -> None:

@@ -81,15 +81,6 @@ def refuse_another_order(where: Scenario, gamma: float) -> None:
     assert (faithful[-1] > unfaithful).all(), (faithful, unfaithful)
 
 
-@pytest.mark.parametrize("kind", ["increment", "cumulative"])
-def test_the_other_penalties_pay_for_not_following(kind: str) -> None:
-    """Standing is free of charge, and whoever ends is charged no more."""
-    where = scenario("agent")
-    faithful = mean_returns(where, FAITHFUL, kind, 1.0).mean(axis=1)
-    unfaithful = mean_returns(where, UNFAITHFUL, kind, 1.0).mean(axis=1)
-    assert unfaithful.max() > faithful[1]
-
-
 def test_contact_at_the_recorded_time_is_not_punished() -> None:
     """A whole recording that ends by contact is worth 1 a step, and the touch."""
     demos = load_packaged("agent").select(split="val")

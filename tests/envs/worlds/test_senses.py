@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recordings import dogs
-from refusals import refuses
-from turned_bodies import recorded
+from turned_bodies import recorded, species
 
 from animarl_algos import SlotVecEnv
 from animarl_envs import environment_id, parallel_env
@@ -19,6 +18,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.species.silkmoth import RECORDED_TURNING
 from animarl_envs.worlds import (
     demonstration_observations,
     make_world,
@@ -39,6 +39,10 @@ CHASES: list[tuple[str, dict[str, Any]]] = [
     ("custom", {"demos": dogs(2)}),
     ("newt", {"senses_past": True, "senses_time": True, "senses_course": True}),
 ]
+MOTHS: list[tuple[str, dict[str, Any]]] = [
+    ("silkmoth", {}),
+    ("silkmoth", {"demos": None, "turning": RECORDED_TURNING}),
+]
 chases = pytest.mark.parametrize(("name", "options"), CHASES)
 
 
@@ -54,9 +58,7 @@ def walk(world: World, steps: int, seed: int = 0) -> Array:
     return np.stack(rows)
 
 
-@pytest.mark.parametrize(
-    ("name", "options"), [*CHASES, ("silkmoth", {}), ("custom", {"demos": recorded()})]
-)
+@pytest.mark.parametrize(("name", "options"), [*CHASES, ("custom", {"demos": recorded()}), *MOTHS])
 def test_no_component_is_constant_or_a_copy_of_another(name: str, options: Any) -> None:
     world = make_world(make_scenario(name, **options), 100)
     seen = walk(world, 100).astype(np.float64)  # 10,000 steps
@@ -151,10 +153,11 @@ def test_a_mirrored_world_is_seen_mirrored(name: str, options: Any, kind: str) -
     [*itertools.product(["agent", "fly", "newt"],
                         [{"observation": kind} for kind in ("compact", "full", "paper")]),
      ("newt", {"senses_past": True, "senses_time": True, "senses_course": True,
-               "time_limit": 20})],
+               "time_limit": 20}),
+     (species(), {"demos": recorded()}), (species(), {"demos": dogs(2)})],
 )  # fmt: skip
-def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, seen: dict[str, Any]) -> None:
-    demos = load_packaged(name).select(split="test")
+def test_recorded_frames_are_seen_as_the_world_sees_them(name: Any, seen: dict[str, Any]) -> None:
+    demos = seen.get("demos") or load_packaged(name).select(split="test")
     drivers = dict.fromkeys(demos.individuals, "replay")
     options = {"demos": demos, "split": None, "drivers": drivers, **seen}
     scenario = make_scenario(name, contact_radius=1e-9, **options)
@@ -317,12 +320,7 @@ def test_what_is_made_by_a_name_observes_compactly_and_a_spec_as_it_says(name: s
         assert world.observation.shape[-1] == len(observation_components(spec)) > compact
 
 
-def test_an_unknown_observation_is_refused() -> None:
-    told = "observation is 'rich': choose one of 'compact', 'full', 'paper'"
-    refuses(told, make_scenario, "fly", observation="rich")
-
-
-@chases
+@pytest.mark.parametrize(("name", "options"), [*CHASES, *MOTHS])
 def test_random_walks_stay_within_the_ranges(name: str, options: Any) -> None:
     world = make_world(make_scenario(name, **options), 50)
     seen = walk(world, 60, seed=1)

@@ -22,15 +22,6 @@ def test_closed_end_equals_the_textbook(seed: int, n: int, m: int) -> None:
     assert dtw_distance(x, y) == pytest.approx(textbook(x, y)[-1, -1], abs=1e-9)
 
 
-def test_closed_end_equals_an_independent_library() -> None:
-    library = pytest.importorskip("dtaidistance.dtw_ndim")
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        x, y = rng.normal(size=(40, 2)), rng.normal(size=(55, 2))
-        theirs = library.distance(x, y, inner_dist="euclidean")
-        assert dtw_distance(x, y) == pytest.approx(theirs, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("x", "y"),
     [

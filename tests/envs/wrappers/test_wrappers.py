@@ -109,26 +109,34 @@ def test_the_world_changes_without_the_cue(condition: int, paid: float, cue: Any
     assert infos["prey"]["condition"] == condition
 
 
+def followed(env: Any, who: int, seed: int, action: Any) -> tuple[Any, ...]:
+    """Recording and path of one individual in an episode, its rewards, and infos by name."""
+    world = env.unwrapped.world
+    _, info = env.reset(seed=seed)
+    recorded = world.demos.episode(info["demo"]).positions[:, who]
+    path, rewards, infos, done = [world.position[0, who].copy()], [], [], False
+    while not done:
+        _, reward, terminated, truncated, info = env.step(action())
+        path.append(world.position[0, who].copy())
+        rewards.append(reward)
+        infos.append([info[f"dtw_{key}"] for key in ("penalty", "distance")])
+        infos[-1] += [info["aligned_step"], info["task_reward"]]
+        done = terminated or truncated
+    return recorded, np.array(path), np.array(rewards), *np.array(infos).T
+
+
 def test_single_view_pays_every_row_as_the_textbook_says() -> None:
-    plain = gym.make("AnimaRL/Agent-v0", focal="predator_1")
+    plain, rng = gym.make("AnimaRL/Agent-v0", focal="predator_1"), np.random.default_rng(3)
     env = DTWReward(plain, alpha=0.5, penalty="increment")
-    world = env.unwrapped.world  # type: ignore[attr-defined]
-    rng = np.random.default_rng(3)
     for seed in range(5):
-        _, info = env.reset(seed=seed)
-        recorded = world.demos.episode(info["demo"]).positions[:, 1]
-        path, paid = [world.position[0, 1].copy()], []
-        done = False
-        while not done:
-            _, reward, terminated, truncated, info = env.step(int(rng.integers(13)))
-            path.append(world.position[0, 1].copy())
-            paid.append(info["dtw_penalty"])
-            assert reward == pytest.approx(info["task_reward"] - 0.5 * info["dtw_penalty"])
-            rows = textbook(np.array(path), recorded)
-            assert info["dtw_distance"] == pytest.approx(rows[-1].min(), abs=1e-9)
-            assert info["aligned_step"] == rows[-1].argmin()
-            done = terminated or truncated
-        assert sum(paid) == pytest.approx(rows[-1].min() - rows[0].min(), abs=1e-9)
+        recorded, path, rewards, penalty, distance, aligned, task = followed(
+            env, 1, seed, lambda: int(rng.integers(13))
+        )
+        np.testing.assert_allclose(rewards, task - 0.5 * penalty)
+        rows = textbook(path, recorded)
+        np.testing.assert_allclose(distance, rows[1:].min(axis=1), atol=1e-9)
+        np.testing.assert_array_equal(aligned, rows[1:].argmin(axis=1))
+        np.testing.assert_allclose(penalty, np.diff(rows.min(axis=1)), atol=1e-9)
 
 
 @pytest.mark.parametrize("focal", ["predator_0", "prey"])
@@ -137,53 +145,39 @@ def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_las
 ) -> None:
     """The prey coasts, so that it outlives its recording: there its pay for lasting is refunded."""
     env = DTWReward(gym.make("AnimaRL/Agent-v0", focal=focal, others="coast", recorded=True))
-    world = env.unwrapped.world  # type: ignore[attr-defined]
-    who = world.scenario.names.index(focal)
-    rng = np.random.default_rng(1)
-    outlived = 0
+    scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
+    rng, outlived = np.random.default_rng(1), 0
     for seed in range(6):
-        _, info = env.reset(seed=seed)
-        recorded = world.demos.episode(info["demo"]).positions[:, who]
-        path, rewards, tasks = [world.position[0, who].copy()], [], []
-        done = False
-        while not done:
-            action = int(rng.integers(13)) if seed % 2 else 12
-            _, reward, terminated, truncated, info = env.step(action)
-            path.append(world.position[0, who].copy())
-            rewards.append(reward)
-            tasks.append(info["task_reward"])
-            done = terminated or truncated
-        paid = closeness(np.array(path), recorded, WINDOW, scale=0.1)
+        recorded, path, rewards, *_, task = followed(
+            env, scenario.names.index(focal), seed,
+            (lambda: int(rng.integers(13))) if seed % 2 else lambda: 12,
+        )  # fmt: skip
+        paid = closeness(path, recorded, WINDOW, scale=0.1)
         assert ((paid >= 0.0) & (paid <= 1.0)).all()
         beyond = slice(len(recorded) - 1, None)
         lasting = np.zeros(len(paid))
         if focal == "prey":
-            lasting[beyond] = np.where(np.array(tasks[beyond]) > 0.0, world.scenario.species.dt, 0)
-        np.testing.assert_allclose(rewards, np.array(tasks) + paid - lasting, atol=1e-9)
+            lasting[beyond] = np.where(task[beyond] > 0.0, scenario.species.dt, 0)
+        np.testing.assert_allclose(rewards, task + paid - lasting, atol=1e-9)
         outlived += len(paid[beyond])
     assert outlived > 50
 
 
-@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
-def test_in_a_vector_each_copy_resets_its_own_rows(mode: str) -> None:
+def test_in_a_vector_each_copy_resets_its_own_rows() -> None:
+    """As it ends; where it ends a step later, test_registry.py has it beside single views."""
     copies = 6
-    kind = gym.vector.AutoresetMode[mode]
+    kind = gym.vector.AutoresetMode.SAME_STEP
     vector = DTWRewardVector(AnimalVectorEnv("agent", copies, autoreset_mode=kind))
     world = vector.unwrapped.world  # type: ignore[attr-defined]
     rng = np.random.default_rng(5)
     vector.reset(seed=10)
     paths: list[list[Any]] = [[world.position[b, 0].copy()] for b in range(copies)]
     recorded = [world.demos.episode(int(world.demo[b])).positions[:, 0] for b in range(copies)]
-    ended = np.zeros(copies, dtype=bool)
     resets = 0
     for _ in range(250):
         *_, terminated, truncated, infos = vector.step(rng.integers(13, size=copies))
         for b in range(copies):
-            over = bool(terminated[b] or truncated[b])
-            started_now = (ended[b] and mode == "NEXT_STEP") or (over and mode == "SAME_STEP")
-            if started_now and mode == "NEXT_STEP":
-                assert infos["dtw_penalty"][b] == 0.0
-            if started_now:
+            if terminated[b] or truncated[b]:
                 resets += 1
                 paths[b] = [world.position[b, 0].copy()]
                 recorded[b] = world.demos.episode(int(world.demo[b])).positions[:, 0]
@@ -191,5 +185,4 @@ def test_in_a_vector_each_copy_resets_its_own_rows(mode: str) -> None:
                 paths[b].append(world.position[b, 0].copy())
             expected = textbook(np.array(paths[b]), recorded[b])[-1].min()
             assert infos["dtw_distance"][b] == pytest.approx(expected, abs=1e-9)
-            ended[b] = over
     assert resets > 5
