@@ -16,15 +16,17 @@ of them against the recording.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
+from animarl_algos.benchmark.methods import RECORDINGS, others_as_rollouts
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
@@ -140,7 +142,7 @@ def crossed_score(
         tested = np.flatnonzero(demos.split == "test")
         made.append(replace(rollouts, demo=tested[rollouts.demo]))
         if int(tested[0]) not in beside:
-            others = others_as_rollouts(beside_fold(demos), demos.select(split="test"), SEED)
+            others = others_as_rollouts(demos.select(split="val"), demos.select(split="test"), SEED)
             beside[int(tested[0])] = replace(others, demo=tested[others.demo])
     joined = Rollouts.concatenate(made, method)
     return _score(joined, folds[0][0], Rollouts.concatenate([*beside.values()]), None, resamples)
@@ -204,18 +206,16 @@ def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
         for one in scores
         if one.method not in UNRANKED and np.isfinite(one.energies).any()
     }
-    better, worse = dict.fromkeys(energies, 0), dict.fromkeys(energies, 0)
-    names = list(energies)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            gap = statistics.bootstrap_difference(
-                energies[first], energies[second], np.random.default_rng(SEED), resamples
-            )
-            if gap.excludes_zero and abs(gap.estimate) > ROUNDING:
-                winner, loser = (first, second) if gap.high < 0 else (second, first)
-                better[loser] += 1
-                worse[winner] += 1
-    places = {name: (1 + better[name], len(names) - worse[name]) for name in names}
+    better, worse = Counter[str](), Counter[str]()
+    for first, second in combinations(energies, 2):
+        gap = statistics.bootstrap_difference(
+            energies[first], energies[second], np.random.default_rng(SEED), resamples
+        )
+        if gap.excludes_zero and abs(gap.estimate) > ROUNDING:
+            winner, loser = (first, second) if gap.high < 0 else (second, first)
+            better[loser] += 1
+            worse[winner] += 1
+    places = {name: (1 + better[name], len(energies) - worse[name]) for name in energies}
     return {
         name: f"{best}" if best == worst else f"{best}\u2013{worst}"
         for name, (best, worst) in places.items()

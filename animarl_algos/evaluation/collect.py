@@ -42,13 +42,7 @@ class MemorylessPolicy(ABC):
     def act(self, observation: Any) -> NDArray[np.int64]:
         """Return one action per slot."""
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, Any]:
         """Return :meth:`act`'s actions, and the state as it is."""
         return self.act(observation), state
 

@@ -240,10 +240,5 @@ def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:
             of = {RECORDED: prepared.recorded, FACTUAL: trained.factual, FLIPPED: trained.flipped}
             if inputs.teams is not None:
                 of[TEAM] = inputs.teams[1 - condition]
-            tracks = {
-                kind: player.track(
-                    some, int(np.flatnonzero(some.demo == start)[0])
-                )  # its first rollout
-                for kind, some in of.items()
-            }
-            yield player.Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
+            first = {k: (some, int(np.argmax(some.demo == start))) for k, some in of.items()}
+            yield f"Start {start}, {inputs.condition(condition)}", first
