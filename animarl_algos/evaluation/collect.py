@@ -24,15 +24,13 @@ Cue = Literal["actual", "flipped", 0, 1]
 
 
 class Policy(Protocol):
-    """What acts: anything with stable-baselines3's ``predict``, a state per slot included."""
+    """What acts: anything with stable-baselines3's ``predict``, a state per slot included.
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]: ...
+    It is asked by ``observation, state, episode_start, deterministic``.
+    """
+
+    @property
+    def predict(self) -> Callable[..., tuple[Any, Any]]: ...
 
 
 class MemorylessPolicy(ABC):
