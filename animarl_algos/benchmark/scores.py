@@ -316,16 +316,8 @@ def _faults(
             f"it is the recording of test episode {demo} itself, frame by frame: "
             "give what the method did from its start"
         )
-    yield from _faults_of_outcome(outcome, path, test)
-
-
-def _faults_of_outcome(outcome: int, path: Floats, test: Demonstrations) -> Iterator[str]:
-    """Yield why an episode cannot have ended so.
-
-    The target, or the source at the origin, was reached if and only if it was in reach at the end;
-    else somebody is out, or the time limit has passed.
-    """
-    species = get_species(test.species)
+    # The target, or the source at the origin, was reached if and only if it was in reach at the
+    # end; else somebody is out, or the time limit has passed.
     radius, goal, movers = species.contact_radius, np.zeros(2), path[-1]
     if "target" in test.roles:
         target = test.roles.index("target")
@@ -339,9 +331,9 @@ def _faults_of_outcome(outcome: int, path: Floats, test: Demonstrations) -> Iter
         yield f"it claims that the goal was reached, which is {distance:.3g} away at the end"
     if outcome == TIME_OUT and distance < radius * (1 - SLACK):
         yield "it ends in reach of the goal and claims that it was not reached"
-    if outcome == TIME_OUT and len(path) <= species.time_limit:
+    if outcome == TIME_OUT and len(path) <= limit:
         yield (
-            f"it claims that time ran out, with {len(path)} of {species.time_limit + 1} "
+            f"it claims that time ran out, with {len(path)} of {limit + 1} "
             "frames: roll out until the episode ends"
         )
     if outcome in (TARGET_OUT, PURSUER_OUT):

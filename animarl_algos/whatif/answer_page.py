@@ -162,9 +162,8 @@ def _lead(found: WhatIf) -> page.Lead:
 
 
 def _in_short(found: WhatIf) -> Iterator[page.Block]:
-    yield page.Sentences(
-        [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
-    )
+    said = [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
+    yield page.Text(said, "sentences")
     yield page.Text(WARNINGS)
 
 
