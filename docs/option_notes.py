@@ -209,6 +209,11 @@ SEARCH_ONLY: dict[str, tuple[str, str]] = {
         "a `Turning`, `{'persistence': p, 'gain': g, 'slip': s, 'speed': v}`, `None`",
         "how the body turns; `None`: it points where it walks",
     ),
+    "senses_past": (
+        "`True`, `False`",
+        "add turning, way and speed averaged over the last 1 to 10 s and the time since a hit; on "
+        "for your own recordings of odour",
+    ),
     "flow_threshold": (NOT_NEGATIVE, "yaw rates below it give no visual flow [rad/s]"),
     "flow_limit": (POSITIVE, "visual flow is clipped here [rad/s]"),
     "rest_speed": (NOT_NEGATIVE, "without `turning`, the heading is kept when slower"),

@@ -20,7 +20,7 @@ from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion, track
 from animarl_envs.fitting.custom_species import arena_of
-from animarl_envs.fitting.joint import FAST
+from animarl_envs.fitting.joint import FAST, joint_locomotion
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method, doubts, fits_by_kind
 from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, StateFit, compare_states
@@ -54,9 +54,10 @@ STATE_COLUMNS: Columns = {
     "state": ("state", str),
     "damping": ("d", "{:.3f}".format),
     "thrust": ("u", lambda each: " ".join(f"{one:.3g}" for one in each)),  # [arena unit / s^2]
-    "share": ("share of\ntime", "{:.0%}".format),
+    "share": ("time", "{:.0%}".format),
     "bout": ("lasts, s", lambda bout: f"{bout:.3g}" if math.isfinite(bout) else "-"),
-    "held_out": ("held-out\nnats a step", "{:.3f}".format),
+    "held_out": ("held-out\nnats", "{:.3f}".format),
+    "floor": ("floor", THRUST_COLUMNS["floor"][1]),
 }
 """Of the table of ``--states``, likewise."""
 
@@ -118,7 +119,7 @@ def fit_command(
     console = shared.PlainConsole(TABLE_WIDTH)
     if several:
         fits: list[LocomotionFit] = []
-        rows = _compare_states(demos, several, numbers or (1, 3), console)
+        rows = _compare_states(demos, several, numbers or (1, 3), seed, console)
     elif numbers:
         if out is not None and out.suffix == ".json" and len(numbers) > 1:
             raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
@@ -324,27 +325,40 @@ def _compare_states(
     demos: Demonstrations,
     states: tuple[int, ...],
     thrusts: tuple[int, ...],
+    seed: int,
     console: shared.PlainConsole,
 ) -> list[dict[str, object]]:
-    """Fit states of locomotion and print how well each number explains what no fit has seen."""
+    """Fit states of locomotion and print how well each number explains what no fit has seen.
+
+    Also says what more states would be worth to a simulator.
+    """
+    from animarl_algos.evaluation import thrust_choice
+
+    seen = demos.select(split="train")
+    own = np.split(np.linalg.norm(seen.velocities(), axis=2), len(demos.kinds), axis=1)
+    moving = [i for i, speeds in enumerate(own) if speeds.any()]
+    if not moving:
+        raise InputError(f"{demos.name}: no individual ever moves in train: check the tracks")
+    found = {i: compare_states(demos, i, states, thrusts) for i in moving}
+    models = [
+        {i: fits[number] for i, (fits, _) in found.items()}
+        for number in range(len(states) * len(thrusts))
+    ]
+    floors = [thrust_choice.states_floor(seen, model, seed=seed).estimate for model in models]
     rows: list[dict[str, Any]] = []
     words = []
-    speeds = np.linalg.norm(demos.select(split="train").velocities(), axis=2)
-    own = np.split(speeds, len(demos.kinds), axis=1)
-    if not speeds.any():
-        raise InputError(f"{demos.name}: no individual ever moves in train: check the tracks")
     for i, name in enumerate(demos.kinds):
-        if not own[i].any():
+        if i not in found:
             words.append(f"{name}: never moves in train, so that it has no states")
             continue
-        fits, best = compare_states(demos, i, states, thrusts)
-        for fit in fits:
+        fits, best = found[i]
+        for fit, floor in zip(fits, floors, strict=True):
             for s in range(len(fit.damping)):
-                found = (
+                row = (
                     name, *fit.thrusts.shape, s + 1, float(fit.damping[s]), fit.thrusts[s].tolist(),
-                    float(fit.share[s]), float(fit.bout[s]), float(fit.held_out.mean()),
+                    float(fit.share[s]), float(fit.bout[s]), float(fit.held_out.mean()), floor,
                 )  # fmt: skip
-                rows.append(dict(zip(STATE_COLUMNS, found, strict=True)))
+                rows.append(dict(zip(STATE_COLUMNS, row, strict=True)))
             if not fit.supported:
                 words.append(
                     f"{name}: {_model(fit)} are not supported by these recordings: one state "
@@ -355,9 +369,18 @@ def _compare_states(
     caption = (
         f"Fitted on {kind} training episodes, at most {MOST_STEPS:,} steps of each individual; "
         "nats a step of validation episodes (the higher, the better). Lengths in arena units. "
-        "Simulators have one state; this table says what that leaves out."
+        "Floor: how often a classifier ranks motion that follows the recordings in closed loop, in "
+        "the states they were in, above recorded motion (0.5: cannot tell them apart)."
     )
     console.print(_table(f"States of {demos.species}", caption, rows, STATE_COLUMNS))
+    number = thrust_choice.choose_thrusts(demos, seed=seed)[0]
+    usual = thrust_choice.tracking_floor(seen, joint_locomotion(seen, number), seed=seed).estimate
+    lowest = int(np.nanargmin(floors)) if np.isfinite(floors).any() else 0
+    words.append(
+        f"Simulators have one state, and here {number} thrust{'s' * (number != 1)}: their floor is "
+        f"{usual:.2f}. The lowest of this table is {floors[lowest]:.2f}, of "
+        f"{_model(next(iter(models[lowest].values())))}."
+    )
     for sentence in words:
         console.print(sentence)
     return [row | {"thrust": " ".join(map(str, row["thrust"]))} for row in rows]

@@ -16,7 +16,7 @@ import numpy as np
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable, training_episodes
-from animarl_envs.fitting.custom_species import fitted_locomotion
+from animarl_envs.fitting.custom_species import fitted_locomotion, shows_odour
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.fitting.transitions import step_frames
 
@@ -31,9 +31,10 @@ FEW_EXACT, FEW_STEPS = 20_000, 35_000
 or with little."""
 SEEN_SELDOM = 200_000
 """Steps of a recorded individual of which each is seen fewer than six times in 30 epochs."""
-EXACTLY, FEW, ALMOST, SEARCH = "exact", "exact-few", "nearly-exact", "search"
+EXACTLY, FEW, ALMOST = "exact", "exact-few", "nearly-exact"
+SEARCH, REMEMBERED = "search", "search-remembered"
 RECORDED, FEW_RECORDED, MANY_RECORDED = "recorded", "recorded-few", "recorded-many"
-CLONINGS = (EXACTLY, FEW, ALMOST, RECORDED, FEW_RECORDED, MANY_RECORDED, SEARCH)
+CLONINGS = (EXACTLY, FEW, ALMOST, RECORDED, FEW_RECORDED, MANY_RECORDED, SEARCH, REMEMBERED)
 """Their names."""
 
 
@@ -49,6 +50,8 @@ def choose_recipe(demos: Demonstrations) -> RecipeChoice:
     """Return the recipe for demonstrations, by their training episodes (all, if there are none)."""
     demos = learnable(demos)
     if "searcher" in demos.roles:
+        if shows_odour(demos):
+            return RecipeChoice(REMEMBERED, "the searcher's inputs hold what was smelled before")
         return RecipeChoice(SEARCH, "a search goes by what was smelled before")
     miss, steps = action_miss(demos)
     said = f"actions miss by {miss:.2g} thrusts, {steps} steps of each individual"

@@ -270,6 +270,11 @@ class StackedQNetwork(nn.Module):
         self.input_sd.copy_(sd.unsqueeze(1))
         self.input_limit.fill_(limit)
 
+    @torch.no_grad()
+    def amplify_inputs(self, components: Sequence[int], gains: NDArray[np.floating]) -> None:
+        """See these components of the observation ``gains`` times as far from their mean."""
+        self.input_sd[:, :, list(components)] /= torch.as_tensor(gains).to(self.input_sd)
+
     def _encode(
         self,
         observations: torch.Tensor,

@@ -156,6 +156,7 @@ def learn(
                 progress_bar=progress_bar,
             )
         run.acting_file(algo).unlink(missing_ok=True)  # chosen for another policy
+        run.tell_traits_louder(algo, model)
         run.save_policy(algo, model)
         return run.let_act(algo, model)
 

@@ -30,6 +30,7 @@ from animarl_algos.data.vec_env import FocalPolicy, SlotVecEnv, focal_drivers
 from animarl_algos.evaluation import acting_choice
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.trait_response import trait_components, trait_gains
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import latest_checkpoint, serialise_tensors, summarise_error
 from animarl_algos.learner.presets import constructed
@@ -48,6 +49,7 @@ from animarl_envs.scenario import PACKAGED, Condition, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world, with_options
+from animarl_envs.species.traits import TRAITS
 from animarl_envs.worlds import make_world
 
 if TYPE_CHECKING:
@@ -415,6 +417,26 @@ class Run:
             self._choose_acting(algo, model)
         model.policy.acting = self.acting(algo)
         return model
+
+    def tell_traits_louder(self, algo: str, model: SequenceQLearning) -> None:
+        """Amplify what a ``model`` of animals that differ is told of them, and note by how much."""
+        traits, seed = self.species.traits, self.settings.seed
+        demos = acting_choice.choice_episodes(self.learnable_demos, seed)
+        make = partial(make_world, self.starting_from(None, demos=demos))
+        components = trait_components(make(1)) if traits is not None else []
+        if traits is None or not components:
+            return
+        fitted = model.fit_temperature(model.demonstration_data().val)
+        model.policy.acting = Acting.boltzmann(fitted)
+        model.policy.seed(seed)
+        cue: Cue | None = "actual" if model.layout.condition_flag else None
+        gains = trait_gains(self.for_all(model), make, traits, seed=seed, cue=cue)
+        for network in (model.policy.q_net, model.policy.q_net_target):
+            network.amplify_inputs(components, gains)
+        said = ", ".join(f"{name} {gain:.2g}" for name, gain in zip(TRAITS, gains))
+        reasons = self.record.get("reasons", {})
+        reasons |= {f"traits of {algo}": f"told louder, or animals were too much alike: {said}"}
+        self._write_record(self.record | {"reasons": reasons})
 
     def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:
         seed = self.settings.seed

@@ -40,7 +40,14 @@ from animarl_envs.species import (
 from animarl_envs.species.options import with_options
 from animarl_envs.species.traits import FEWEST, Traits, fit_traits
 from animarl_envs.species.turning import Turning
-from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored, softmax, write_inputs
+from animarl_envs.worlds.plume.plume import (
+    INPUTS,
+    LONGEST,
+    FittedOdour,
+    mirrored,
+    softmax,
+    write_inputs,
+)
 
 SMALLEST_CONTACT = 0.001  # share of the arena's size
 SIDED = 4.0  # standard errors from left and right alike
@@ -94,7 +101,8 @@ def species_of(
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
-        if not demos.synthetic and {"odour_left", "odour_right"} <= set(demos.signals):
+        if shows_odour(demos):
+            own["senses_past"] = True
             own["plume"] = _fitted_once(fit_odour, demos, 0)
             own["traits"] = fitted_traits(demos)
     elif demos.headings() is not None:
@@ -118,6 +126,12 @@ def species_of(
         conditions=conditions,
         **own,
     )
+
+
+def shows_odour(demos: Demonstrations) -> bool:
+    """Whether a searcher was recorded with its heading and its odour, to which both are fitted."""
+    signals = {HEADING, "odour_left", "odour_right"}
+    return not demos.synthetic and "searcher" in demos.roles and signals <= set(demos.signals)
 
 
 def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
@@ -319,6 +333,8 @@ def _seconds(value: Any) -> float:
 
 
 UNITS, UPDATES, BATCH, RATE, DECAY = 24, 1_500, 512, 5e-3, 3e-2
+EMPTY, PLACES = 64, 5_000  # places without odour: of a batch, and in all
+CELL, AROUND = 0.02, 0.3  # [m]
 HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
 Floats = NDArray[np.float64]
 
@@ -344,12 +360,40 @@ def odour_steps(demos: Demonstrations) -> tuple[Floats, NDArray[np.int64]]:
     return np.array(rows), np.array(labels, dtype=np.int64)
 
 
+def empty_places(demos: Demonstrations, draw: np.random.Generator) -> Floats:
+    """Inputs ``(n, INPUTS)`` at places around the recorded ones where no searcher was nearby.
+
+    The field is cut into squares of side ``CELL``; empty are those that nobody has been in or next
+    to, nor in their mirror images. Heading, hits before and time since a hit are any.
+    """
+    wide = math.ceil((np.abs(demos.positions).max() + AROUND) / CELL)
+    free = np.ones((2 * wide + 2, 2 * wide + 2), dtype=bool)
+    column, row = (np.floor(demos.positions[:, 0] / CELL).astype(int) + wide + 1).T
+    for beside in np.ndindex(3, 3):
+        free[column + beside[0] - 1, row + beside[1] - 1] = False
+    free &= free[:, ::-1]
+    chosen = draw.choice(np.argwhere(free), PLACES)
+    places = (chosen - wide - 1 + draw.uniform(size=chosen.shape)) * CELL
+    rows = np.empty((PLACES, INPUTS))
+    for (x, y), out in zip(places, rows, strict=True):
+        angle, since = draw.uniform(-np.pi, np.pi), draw.uniform(0.0, LONGEST)
+        left, right = draw.random(2) < 0.5
+        write_inputs(x, y, np.cos(angle), np.sin(angle), left, right, since, out)
+    return rows
+
+
 def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
-    """Fit the network to all episodes of ``demos``, which need headings and odour signals."""
+    """Fit the network to all episodes of ``demos``, which need headings and odour signals.
+
+    Recordings say nothing of where no searcher was, and there the network would go on with what it
+    learned nearby: odour upwind of its source. So an eighth of what it is fitted to are places of
+    that kind, :func:`empty_places`, at which nobody is hit.
+    """
     inputs, hits = odour_steps(demos)
     inputs = np.concatenate([inputs, mirrored(inputs)])
     hits = np.concatenate([hits, np.array([0, 2, 1, 3])[hits]])
     draw = np.random.default_rng(seed)
+    empty = empty_places(demos, draw)
     weights = [
         draw.normal(0.0, INPUTS**-0.5, (INPUTS, UNITS)), np.zeros(UNITS),
         draw.normal(0.0, UNITS**-0.5, (UNITS, 4)), np.zeros(4),
@@ -357,11 +401,11 @@ def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
     mean, square = [[np.zeros_like(w) for w in weights] for _ in range(2)]
     for update in range(1, UPDATES + 1):
         rows = draw.integers(len(hits), size=BATCH)
-        seen = inputs[rows]
+        seen = np.concatenate([inputs[rows], empty[draw.integers(len(empty), size=EMPTY)]])
         units = np.tanh(seen @ weights[0] + weights[1])
         error = softmax(units @ weights[2] + weights[3])
-        error[np.arange(BATCH), hits[rows]] -= 1.0
-        error /= BATCH
+        error[np.arange(len(seen)), np.pad(hits[rows], (0, EMPTY))] -= 1.0
+        error /= len(seen)
         back = (error @ weights[2].T) * (1.0 - units**2)
         slopes = [seen.T @ back, back.sum(0), units.T @ error, error.sum(0)]
         rate = RATE * (1.0 - (update - 1) / UPDATES)

@@ -26,7 +26,7 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import fast_speed, fit_joint
-from animarl_envs.fitting.transitions import transitions
+from animarl_envs.fitting.transitions import transitions, whole_steps
 
 Floats = NDArray[np.float64]
 
@@ -86,6 +86,15 @@ class StateFit:
             return self.dt / (1.0 - np.diag(self.stay))
 
     @property
+    def bodies(self) -> tuple[locomotion.Locomotion, ...]:
+        """The locomotion of each state."""
+        found = []
+        for damping, thrusts in zip(self.damping, np.sort(self.thrusts)[:, ::-1]):
+            falling = thrusts / thrusts[0] * (1.0 - 1e-9 * np.arange(len(thrusts)))
+            found.append(locomotion.Locomotion(damping, thrusts[0], tuple(falling)))
+        return tuple(found)
+
+    @property
     def supported(self) -> bool:
         """Whether every state holds a hundredth of the steps or more."""
         return bool(self.share.min() >= LEAST_SHARE)
@@ -141,6 +150,18 @@ def compare_states(
     return fits, min(
         fitting, key=lambda i: fits[i].pushes.size + fits[i].thrusts.size + fits[i].stay.size
     )
+
+
+def states_of(demos: Demonstrations, individual: int, fit: StateFit) -> NDArray[np.int64]:
+    """The state of each step of an individual, or of all that are alike: ``(frames, 1 or K)``.
+
+    The most probable one given all steps of its episode; 0 at frames without a step.
+    """
+    seen = _steps(demos, individual)
+    found = _expected(seen, fit)[1].argmax(axis=1)
+    path = np.zeros((len(demos.positions), demos.num_individuals if demos.is_group else 1), int)
+    path[whole_steps(demos)] = found.reshape(path.shape[1], -1).T
+    return path
 
 
 def _steps(demos: Demonstrations, individual: int) -> Steps:

@@ -49,9 +49,8 @@ def transitions(demos: Demonstrations, individual: int) -> Transitions:
     Last steps that are shorter than the others are left out. Animals of a group that are alike
     have one locomotion, so these are the transitions of them all.
     """
-    steps, episode = step_frames(demos), np.repeat(np.arange(demos.num_episodes), demos.lengths - 1)
-    whole = demos.intervals()[steps + 1] > 0.999 * demos.dt
-    steps, episode = steps[whole], episode[whole]
+    steps = whole_steps(demos)
+    episode = np.searchsorted(demos.offsets, steps, side="right") - 1
     who = slice(None) if demos.is_group else slice(individual, individual + 1)
     velocity, focus = demos.velocities()[:, who], demos.focus()[:, who]
     return Transitions(
@@ -69,6 +68,12 @@ def step_frames(demos: Demonstrations) -> NDArray[np.int64]:
     last = np.zeros(len(demos.positions), dtype=bool)
     last[demos.offsets[1:] - 1] = True
     return np.flatnonzero(~last)
+
+
+def whole_steps(demos: Demonstrations) -> NDArray[np.int64]:
+    """Those of :func:`step_frames` from which the step is not shorter than the others."""
+    steps = step_frames(demos)
+    return steps[demos.intervals()[steps + 1] > 0.999 * demos.dt]
 
 
 def demonstrated_actions(

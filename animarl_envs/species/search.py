@@ -40,6 +40,7 @@ class SearchSpecies(Species):
     trace_decay: float = 10.0  # time constant of the slow trace of hits [s]
     flow_threshold: float = or_zero(0.1)  # yaw rates below it give no visual flow [rad/s]
     flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
+    senses_past: bool = False  # adds its turning and its way averaged over the last seconds
     turning: Turning | None = None  # of the body; None: it points where it walks
     rest_speed: float = or_zero(1e-4)  # slower bodies keep their heading [arena unit / s]
     plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume

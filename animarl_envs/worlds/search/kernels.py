@@ -22,7 +22,17 @@ from animarl_envs.kinematics import next_turn, next_velocity, residual, turn_bet
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
-from animarl_envs.worlds.search.layout import ALIKE, HARDEST, ODOUR, PAPER, REST, SMALL, Seen
+from animarl_envs.worlds.search.layout import (
+    ALIKE,
+    HARDEST,
+    ODOUR,
+    PAPER,
+    PAST,
+    REMEMBERING,
+    REST,
+    SMALL,
+    Seen,
+)
 from animarl_envs.worlds.streams import next_below, next_uniform
 
 
@@ -58,6 +68,7 @@ class Body(NamedTuple):
     odour: NDArray[np.float64]  # (2, B), signal of the left and right antenna
     trace: NDArray[np.float64]  # (2, B), the same, decaying slowly to zero
     traits: NDArray[np.float64]  # (2, B), of the individual [sd]
+    past: NDArray[np.float64]  # (8, B), means of the past: see Seen and PAST
 
     @classmethod
     def of(cls, copies: int, baseline: float = 0.0) -> Body:
@@ -66,7 +77,8 @@ class Body(NamedTuple):
         heading[0] = -1.0
         odour = np.full((2, copies), baseline)
         trace, traits = np.zeros((2, 2, copies))
-        return cls(heading, np.zeros(copies), np.zeros(copies), odour, trace, traits)
+        past = np.zeros((len(PAST), copies))
+        return cls(heading, np.zeros(copies), np.zeros(copies), odour, trace, traits, past)
 
 
 def senses_of(species: SearchSpecies) -> Senses:
@@ -155,6 +167,8 @@ def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body)
     for side in range(2):
         body.odour[side, b] = senses.baseline
         body.trace[side, b] = 0.0
+    for k in range(len(PAST)):
+        body.past[k, b] = 0.0
 
 
 # -- the senses -------------------------------------------------------------------------------
@@ -175,15 +189,21 @@ def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-un
 
 
 @part
+def _since_hit(b, senses, body):  # type: ignore[no-untyped-def]
+    """Time since the last hit, by the age of its trace, at most ``LONGEST`` [s]."""
+    trace = max(body.trace[0, b], body.trace[1, b])
+    if trace <= 0.0:
+        return LONGEST
+    return min(LONGEST, senses.dt * math.log(trace) / math.log(senses.trace_remains))
+
+
+@part
 def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-def]
     """Hits drawn from a fitted odour; the signals tell the last hits, and the trace their age."""
-    trace = max(body.trace[0, b], body.trace[1, b])
-    since = LONGEST
-    if trace > 0.0:
-        since = senses.dt * math.log(trace) / math.log(senses.trace_remains)
     return draw_hits(
         position[0, b], position[1, b], body.heading[0, b], body.heading[1, b],
-        body.odour[0, b] == 1.0, body.odour[1, b] == 1.0, since, odour, next_uniform(random, b),
+        body.odour[0, b] == 1.0, body.odour[1, b] == 1.0, _since_hit(b, senses, body), odour,
+        next_uniform(random, b),
     )  # fmt: skip
 
 
@@ -196,8 +216,8 @@ def sense(  # type: ignore[no-untyped-def]
 
     ``push_x`` and ``push_y`` led here, in multiples of the thrust; zero in a first frame.
 
-    Arrays of ``body`` have no names of their own here, and the traits are written in a loop, not
-    under a condition: numba would count references to the arrays in every copy, which takes as
+    Arrays of ``body`` have no names of their own here, and past and traits are written in loops,
+    not under a condition: numba would count references to the arrays in every copy, which takes as
     long as the rest of a step.
     """
     base = senses.baseline
@@ -222,8 +242,23 @@ def sense(  # type: ignore[no-untyped-def]
         _sense_more(b, velocity_x, velocity_y, senses, body, out, column)
         out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
         out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
-    for k in range(ALIKE, out.shape[0]):
-        out[k, column] = body.traits[k - ALIKE, b]
+    traits = REMEMBERING if out.shape[0] >= REMEMBERING else ALIKE  # the first row of traits
+    for k in range(ALIKE, traits - 1):
+        now = math.hypot(velocity_x, velocity_y) / senses.stride
+        if k <= Seen.TURN_10:
+            now = body.turn[b] / senses.dt
+        elif k <= Seen.WAY_LEFT_10:
+            now = -velocity_y / senses.stride
+        elif k <= Seen.WAY_AHEAD_10:
+            now = -velocity_x / senses.stride
+        before = body.past[k - ALIKE, b]
+        mean = before + (now - before) * (1.0 - math.exp(-senses.dt / PAST[k - ALIKE]))
+        body.past[k - ALIKE, b] = mean
+        out[k, column] = mean
+    for k in range(max(ALIKE, traits - 1), traits):
+        out[k, column] = math.log(2.0 * _since_hit(b, senses, body) + 1.0)
+    for k in range(traits, out.shape[0]):
+        out[k, column] = body.traits[k - traits, b]
 
 
 @part

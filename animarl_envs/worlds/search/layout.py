@@ -14,6 +14,7 @@ from enum import IntEnum
 from animarl_envs.species import COMPACT, SearchSpecies
 from animarl_envs.species.traits import LARGEST, TRAITS
 from animarl_envs.worlds.base import ObservationComponent
+from animarl_envs.worlds.plume.plume import LONGEST
 
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 EGO, BODY = "egocentric, x upwind, y to the left", "body"
@@ -63,6 +64,15 @@ class Seen(IntEnum):
     ACCELERATION_AHEAD = "acceleration ahead / u", EGO, "1", "push"
     ACCELERATION_LEFT = "acceleration left / u", EGO, "1", "push", -1.0
     YAW_RATE = "yaw rate", BODY, "rad / s", "turn", -1.0
+    TURN_1 = "turning, 1 s", BODY, "rad / s", "turn", -1.0
+    TURN_3 = "turning, 3 s", BODY, "rad / s", "turn", -1.0
+    TURN_10 = "turning, 10 s", BODY, "rad / s", "turn", -1.0
+    WAY_LEFT_3 = "way left, 3 s", EGO, "1", "strides", -1.0
+    WAY_LEFT_10 = "way left, 10 s", EGO, "1", "strides", -1.0
+    WAY_AHEAD_3 = "way ahead, 3 s", EGO, "1", "strides"
+    WAY_AHEAD_10 = "way ahead, 10 s", EGO, "1", "strides"
+    SPEED_10 = "own speed, 10 s", EGO, "1", "strides"
+    SINCE_HIT = "time since a hit", BODY, "1", "since"
     OWN_SPEED = TRAITS[0], "individual", "sd", "trait"
     OWN_TURNING = TRAITS[1], "individual", "sd", "trait"
 
@@ -70,6 +80,10 @@ class Seen(IntEnum):
 PAPER = Seen.WIND_BACK + 1  # components of the paper
 SMALL = Seen.HIT_RIGHT + 1  # of the compact observation
 ALIKE = Seen.YAW_RATE + 1  # components where all individuals are alike
+REMEMBERING = Seen.SINCE_HIT + 1  # where they perceive their past, too
+PAST = (1.0, 3.0, 10.0, 3.0, 10.0, 3.0, 10.0, 10.0)
+"""Time constants of those that are means of the past, exponential, from the start of an episode
+at rest [s]."""
 ODOUR = 2  # components of "odour": the hits of the present step, which tell nothing of the past
 
 
@@ -99,11 +113,15 @@ def observation_components(
         "log speed": (math.log(REST), math.log(top / stride + REST)),
         "push": (-push, push),
         "turn": (-turn, turn),
+        "strides": (-top / stride, top / stride),
+        "since": (0.0, math.log(2.0 * LONGEST + 1.0)),
         "trait": (-LARGEST, LARGEST),
     }
-    every = ALIKE if species.traits is None else len(Seen)
+    every = REMEMBERING if species.senses_past else ALIKE
     first = {"paper": PAPER, COMPACT: SMALL}.get(species.observation, every)
     wanted = list(Seen)[:first]
+    if species.observation == "full" and species.traits is not None:
+        wanted += [Seen.OWN_SPEED, Seen.OWN_TURNING]
     if species.observation == "odour":
         wanted = [Seen.HIT_LEFT, Seen.HIT_RIGHT]
     return tuple(

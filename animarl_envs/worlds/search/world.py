@@ -60,7 +60,7 @@ class SearchWorld(World):
     reward_components = ("touch", "elapsed")
     _state_names = (
         *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "traits",
-        "pattern", "phase",
+        "past", "pattern", "phase",
     )  # fmt: skip
     _describe = observation_components
 
@@ -82,6 +82,7 @@ class SearchWorld(World):
         self._body = body = Body.of(num_copies, species.odour_baseline)
         self.heading, self.odour, self.trace = body.heading.T, body.odour.T, body.trace.T
         self.body_angle, self.turn, self.traits = body.angle, body.turn, body.traits.T
+        self.past = body.past.T
         self.pattern, self.phase = np.zeros((2, num_copies), dtype=np.int64)
         self.plume = as_plume(species.plume)
         # Of the model, patterns are dealt to training and test; a user's plume is for both.

@@ -272,4 +272,4 @@ def test_what_was_chosen_stands_in_the_run(tmp_path: Path) -> None:
 def test_a_recipe_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="cloning is 'exactly': choose among chosen, exact, exac"):
         RunSettings(species="fly", steps=1, cloning="exactly")
-    assert len(set(CLONINGS)) == 7
+    assert len(set(CLONINGS)) == 8

@@ -213,7 +213,7 @@ def test_demonstrations_without_odour_are_refused_offline() -> None:
 def test_recorded_actions_repeat_packaged_searches_in_their_plumes() -> None:
     """Pattern, phase, warm-up and senses are those of the demonstration, to its last step."""
     demos = load_packaged("silkmoth")
-    scenario = make_scenario("silkmoth", split=None)
+    scenario = make_scenario("silkmoth", split=None, senses_past=True)
     world = SearchWorld(scenario, len(demos))
     world.reset(demo=np.arange(len(demos)))
     assert np.array_equal(

@@ -17,7 +17,7 @@ from animarl_envs.scenario import make_scenario
 from animarl_envs.species.silkmoth import RECORDED_TURNING
 from animarl_envs.species.turning import Turning
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored
+from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored, write_inputs
 from tools.packaged_data.moth_statistics import recorded_moths
 from tools.packaged_data.moth_turning import held_out_errors
 
@@ -159,6 +159,19 @@ def test_a_law_of_hits_is_found_and_drawn_in_the_world(recorded: Demonstrations)
     assert after[before].mean() == pytest.approx(0.9, abs=0.05)
     assert after[~before].mean() == pytest.approx(0.1, abs=0.05)
     assert (drawn[..., 0] != drawn[..., 1])[20:].mean() < 0.05
+
+
+def test_nobody_smells_where_nobody_was_recorded(recorded: Demonstrations) -> None:
+    odour = species_of(recorded).plume
+    assert isinstance(odour, FittedOdour)
+    places = recorded.positions[::50, 0]
+    chances = []
+    for places_ in (places, places - [0.8, 0.0]):  # the second upwind of the source
+        rows = np.empty((len(places_), INPUTS))
+        for (x, y), row in zip(places_, rows, strict=True):
+            write_inputs(x, y, -1.0, 0.0, True, True, 0.0, row)
+        chances.append(1.0 - odour.chances(rows)[:, 0])
+    assert np.median(chances[0]) > 0.8 and np.median(chances[1]) < 0.1
 
 
 def test_a_copy_smells_the_same_alone_and_beside_others(recorded: Demonstrations) -> None:

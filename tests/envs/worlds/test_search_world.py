@@ -19,7 +19,7 @@ from animarl_envs.species.traits import LARGEST, Floats, Traits, episode_traits,
 from animarl_envs.species.turning import Turning
 from animarl_envs.worlds import demonstration_observations
 from animarl_envs.worlds.plume.plume import hit_table
-from animarl_envs.worlds.search.layout import ALIKE, PAPER
+from animarl_envs.worlds.search.layout import ALIKE, PAPER, PAST, REMEMBERING, Seen
 from animarl_envs.worlds.search.world import SearchWorld, antennae_at
 
 
@@ -109,6 +109,31 @@ def test_smaller_observations_are_the_beginning_of_the_full_one(
     full, small = (rollout(search_world(3, observation=o), actions) for o in ("full", observation))
     assert small.shape[-1] == size and full.shape[-1] == ALIKE
     np.testing.assert_array_equal(full[..., :size], small)
+
+
+def test_the_past_is_averaged_from_the_start_of_the_episode_on() -> None:
+    world = search_world(4, senses_past=True, plume="continuous", turning=RECORDED_TURNING)
+    names = [one.name for one in world.observation_components]
+    assert len(names) == REMEMBERING
+    stride = world.scenario.species.locomotion[0].thrust * world.scenario.species.dt
+    for _ in range(2):  # nothing of the first episode is left in the second
+        world.reset()
+        seen = rollout(world, random_actions(60, 4)).astype(np.float64)
+        velocity = seen[..., :2] / stride
+        now = {
+            "turning": seen[..., Seen.YAW_RATE], "way left": velocity[..., 1],
+            "way ahead": velocity[..., 0], "own speed": np.linalg.norm(velocity, axis=-1),
+        }  # fmt: skip
+        for row, seconds in enumerate(PAST, start=ALIKE):
+            values, mean = now[names[row].partition(",")[0]], np.zeros(4)
+            for t, value in enumerate(values):
+                mean += (value - mean) * (1 - math.exp(-world.scenario.species.dt / seconds))
+                np.testing.assert_allclose(seen[t, :, row], mean, atol=1e-4)
+        hit, since = (seen[..., Seen.HIT_LEFT : Seen.HIT_RIGHT + 1] > 0).any(-1), np.full(4, 10.0)
+        for t, hits in enumerate(hit):
+            since = np.where(hits, 0.0, np.minimum(10.0, since + world.scenario.species.dt))
+            np.testing.assert_allclose(seen[t, :, Seen.SINCE_HIT], np.log1p(2 * since), atol=1e-4)
+        assert 0 < hit.mean() < 1
 
 
 def test_scene_details_say_where_the_antennae_are() -> None:

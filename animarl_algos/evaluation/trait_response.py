@@ -1,0 +1,93 @@
+"""How strongly a clone answers to its traits, and by how much they must be said louder.
+
+A network learns from few animals, shrinks what it learns of their traits
+(:mod:`animarl_envs.species.traits`), and so simulates animals that are too much alike. How much is
+measured by rollouts: in each an individual is told the traits of some training animal, and what it
+then does has traits of its own. The first on the second, by least squares, is the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
+from animarl_envs.species.traits import TRAITS, Traits, episode_traits
+from animarl_envs.worlds.base import World
+
+Floats = NDArray[np.float64]
+
+ROLLOUTS = 400
+LOUDEST = 2.0  # louder, moths no longer find their source
+HEARD = 0.2  # a weaker answer may be none, and nothing makes it one
+
+
+class Listening:
+    """A policy, and what of every slot was told in the first steps of episodes."""
+
+    def __init__(self, policy: Any, components: list[int]) -> None:
+        self._policy, self._components = policy, components
+        self.told: list[NDArray[Any]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._policy, name)
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        """Return the policy's actions and state."""
+        if np.all(episode_start):
+            self.told.append(observation[:, self._components].copy())
+        actions, state = self._policy.predict(
+            observation, state=state, episode_start=episode_start, deterministic=deterministic
+        )
+        return actions, state
+
+
+def trait_components(world: World) -> list[int]:
+    """Where in an observation the traits stand; empty if they are not observed."""
+    return [i for i, c in enumerate(world.observation_components) if c.name in TRAITS]
+
+
+def trait_gains(
+    policy: Policy,
+    make_world: Callable[[int], World],
+    traits: Traits,
+    *,
+    seed: int,
+    cue: Cue | None = None,
+) -> Floats:
+    """Factors ``(2,)`` on the traits, of which simulated animals differ as training animals do.
+
+    With an answer b and a standard deviation r of what the traits do not explain, animals told g
+    times their traits t differ by ``sqrt(b^2 g^2 var(t) + r^2)``, which is to be that of training
+    animals. At least 1, at most ``LOUDEST``; 1 for a trait in which animals do not differ, or to
+    which the policy does not answer. ``make_world`` is of the episodes to start from; its traits
+    are those of training animals, drawn anew for each rollout.
+    """
+    probe = make_world(1)
+    components, demos = trait_components(probe), probe.demos
+    assert demos is not None  # collect_rollouts starts from them
+    listening = Listening(policy, components)
+    made = collect_rollouts(
+        make_world, listening, method="traits", seed=seed, cue=cue,
+        repetitions=max(1, round(ROLLOUTS / demos.num_episodes)),
+    )  # fmt: skip
+    told = np.concatenate(listening.told).astype(np.float64)
+    shown = episode_traits(made.positions, made.lengths, made.dt) - traits.centre[made.condition]
+    shown = (shown / traits.scale).reshape(-1, len(TRAITS))
+    shown -= shown.mean(axis=0)
+    told -= told.mean(axis=0)
+    answer = np.diag(np.linalg.lstsq(told, shown, rcond=None)[0])
+    told_variance, wanted = told.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
+    unexplained = shown.var(axis=0) - answer**2 * told_variance
+    heard = answer > HEARD
+    gains = np.sqrt(np.maximum(wanted - unexplained, 0.0) / np.where(heard, told_variance, 1.0))
+    return np.where(heard, np.clip(gains / np.where(heard, answer, 1.0), 1.0, LOUDEST), 1.0)
