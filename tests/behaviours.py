@@ -62,14 +62,9 @@ class PartlyRandom:
         return np.where(rng.random(tracked.shape) < self.share, random, tracked)
 
 
-@dataclass(frozen=True)
-class Same:
+def same(action: int) -> Behaviour:
     """One action for ever."""
-
-    action: int
-
-    def __call__(self, world: World, rng: np.random.Generator) -> Actions:
-        return np.full(world.position.shape[:2], self.action)
+    return lambda world, rng: np.full(world.position.shape[:2], action)
 
 
 def outwards(world: World, rng: np.random.Generator) -> Actions:
@@ -93,8 +88,8 @@ FAITHFUL: dict[str, Course] = {
 }
 """From best to worst."""
 UNFAITHFUL: dict[str, Course] = {
-    "at the focus": Course(Same(0)),
-    "coasting": Course(Same(COAST)),
+    "at the focus": Course(same(0)),
+    "coasting": Course(same(COAST)),
     "outwards": Course(outwards),
     "ended after 1 step": Course(tracking, ends_after=1),
     "... 10 steps": Course(tracking, ends_after=10),

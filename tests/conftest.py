@@ -6,6 +6,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch, here and in subproces
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
-def has_cuda() -> bool:
-    import torch
-
-    return torch.cuda.is_available()
-
-
 NEEDS: dict[str, tuple[Callable[[], bool], str]] = {
     "realdata": (DATA.is_dir, f"recorded data not found at {DATA}; set ANIMARL_DATA"),
-    "cuda": (has_cuda, "no CUDA device (docs/learners.md, Devices)"),
+    "cuda": (
+        lambda: import_module("torch").cuda.is_available(),
+        "no CUDA device (docs/learners.md, Devices)",
+    ),
 }
 
 

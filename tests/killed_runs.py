@@ -39,16 +39,10 @@ def toy_run(folder: Path) -> SequenceQLearning:
 def agent_run(folder: Path) -> SequenceQLearning:
     """The packaged agents through the whole of ``animarl train``."""
     settings = RunSettings(
-        file="packaged",
-        species="agent",
-        algo=ALGO,
-        steps=3000,
-        seed=1,
-        copies=4,
-        checkpoint_every=200,
-        baselines=False,
+        file="packaged", species="agent", algo=ALGO, steps=3000, seed=1, copies=4,
+        checkpoint_every=200, baselines=False,
         overrides={"offline_epochs": EPOCHS, "learning_rate": "lin_1e-3"},
-    )
+    )  # fmt: skip
     return learn(open_run(settings, folder, "animarl train"), ALGO, progress_bar=False)
 
 

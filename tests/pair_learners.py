@@ -29,12 +29,9 @@ SETTINGS: dict[str, Any] = {
     "device": "cpu",
 }  # fmt: skip
 INVERSE: dict[str, Any] = {
-    "exploration": "boltzmann",
-    "train_freq": (6, "step"),
-    "gradient_steps": 3,
-    "sequence_length": 6,
-    "burn_in": 2,
-}
+    "exploration": "boltzmann", "train_freq": (6, "step"), "gradient_steps": 3,
+    "sequence_length": 6, "burn_in": 2,
+}  # fmt: skip
 """What sets a learner apart that samples its own steps and is shown demonstrated ones."""
 EPISODES = 48
 
@@ -78,17 +75,12 @@ def demonstrations(
         own = [toys.Pair.individuals.index(name) for name in individuals]
         data.append(
             OfflineDataset(
-                observations[:, own],
-                actions[:, own],
-                lengths,
-                3,
+                observations[:, own], actions[:, own], lengths, 3,
                 rewards=0.1 * rng.normal(size=(frames, k))[:, own],
                 action_penalties=(np.arange(3) != actions[..., None]).astype(float)[:, own],
-                terminated=np.ones(EPISODES, dtype=bool),
-                condition=condition,
-                names=individuals,
+                terminated=np.ones(EPISODES, dtype=bool), condition=condition, names=individuals,
             )
-        )
+        )  # fmt: skip
     return Split(*data)
 
 

@@ -64,20 +64,12 @@ def report_inputs() -> ReportInputs:
         for method in ("random", "bc", "dqaas", "dqcil", "dqdil")
     }
     return ReportInputs(
-        title="A run",
-        learner="dqdil",
-        demos=demos,
-        rollouts=rollouts,
-        evaluation=evaluate(rollouts, demos, seed=0, learner="dqdil", resamples=100),
-        species=AGENT,
-        settings={"algo": "dqdil", "online": {"alpha": 1.0, "prioritised": True}},
-        seeds=(0, 1),
-        versions={"torch": "2.13.0"},
-        command="animarl run demos.npz --algo dqdil",
-        created="2026-11-21",
-        episodes={"train": 80, "val": 10, "test": 12},
-        **MADE,
-    )
+        title="A run", learner="dqdil", demos=demos, rollouts=rollouts,
+        evaluation=evaluate(rollouts, demos, seed=0, learner="dqdil", resamples=100), species=AGENT,
+        settings={"algo": "dqdil", "online": {"alpha": 1.0, "prioritised": True}}, seeds=(0, 1),
+        versions={"torch": "2.13.0"}, command="animarl run demos.npz --algo dqdil",
+        created="2026-11-21", episodes={"train": 80, "val": 10, "test": 12}, **MADE,
+    )  # fmt: skip
 
 
 def bare_inputs(demos: Demonstrations, rollouts: dict[str, Rollouts], **more: Any) -> ReportInputs:
@@ -114,19 +106,13 @@ def asked_page() -> str:
     }
     page = counterfactual_page(
         CounterfactualInputs(
-            demos=demos,
-            species=AGENT,
-            asked=everything,
-            teams=teams,
+            demos=demos, species=AGENT, asked=everything, teams=teams,
             effects=cue_effects(everything, demos, teams=teams, planned=(0, 1), resamples=100),
-            seeds={"DQCIL": (0, 1)},
-            world={"arena": "square"},
-            **MADE,
-            settings={"DQCIL": {"alpha": 1.0}},
-            versions={"torch": "2.13.0"},
+            seeds={"DQCIL": (0, 1)}, world={"arena": "square"}, **MADE,
+            settings={"DQCIL": {"alpha": 1.0}}, versions={"torch": "2.13.0"},
             command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
         )
-    )
+    )  # fmt: skip
     return page.html()
 
 

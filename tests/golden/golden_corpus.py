@@ -21,14 +21,13 @@ import pandas as pd
 import torch
 from commands import animarl
 from numpy.typing import NDArray
+from small_runs import few
 
 import animarl_algos
 import animarl_envs
 from animarl_algos import SlotVecEnv
 from animarl_algos.recipes.registry import RECIPES
 from animarl_envs import SPECIES
-from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.wrappers import (
     ConditionFlag,
     ConditionFlagParallel,
@@ -45,13 +44,9 @@ FIRST = (1, 2, 5, 10, 20)
 """Steps after which the sum of all observations and rewards so far is written down."""
 UPDATES = 50
 SMALL: dict[str, Any] = {
-    "batch_size": 4,
-    "buffer_size": 2000,
-    "learning_rate": 1e-3,
-    "offline_batch_size": 4,
-    "policy_kwargs": {"hidden": 8, "depth": 1},
-    "target_update_interval": (5, "episode"),
-}
+    "batch_size": 4, "buffer_size": 2000, "learning_rate": 1e-3, "offline_batch_size": 4,
+    "policy_kwargs": {"hidden": 8, "depth": 1}, "target_update_interval": (5, "episode"),
+}  # fmt: skip
 CROWD: dict[str, Any] = {"num_pursuers": 4, "start": "uniform", "rebound": True}
 OFFLINE: dict[str, dict[str, Any]] = {
     "GruPolicy": {"offline_epochs": 6},  # of whole episodes
@@ -209,17 +204,6 @@ def worlds() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
                     f"{species} {view} {kind}",
                     lambda s=species, made=made, walk=walk: walk(made(s)),
                 )
-
-
-def few(species: str) -> Demonstrations:
-    """The shortest packaged episodes of every split and condition."""
-    demos = load_packaged(species)
-    chosen: list[int] = []
-    for split, count in (("train", 3), ("val", 2), ("test", 3)):
-        for condition in (0, 1):
-            found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
-            chosen += found[np.argsort(demos.lengths[found], kind="stable")][:count].tolist()
-    return demos.select(episodes=chosen)
 
 
 def learned(name: str, policy: str) -> dict[str, Any]:

@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openpyxl
+import pandas as pd
+from scipy.io import savemat
 
 from tools.fuzz.layouts import BODIES, KINDS, NAMES, POSE, write_mat
 
@@ -33,13 +36,19 @@ class Case:
     whole: bool = False
 
 
-def text(content: str | bytes, name: str = "t.csv", encoding: str = "utf-8") -> Write:
+def saved(name: str, save: Callable[[Path], object]) -> Write:
+    """A file of this name in whatever folder, and its path."""
+
     def write(folder: Path) -> Path:
-        raw = content if isinstance(content, bytes) else content.encode(encoding)
-        (folder / name).write_bytes(raw)
+        save(folder / name)
         return folder / name
 
     return write
+
+
+def text(content: str | bytes, name: str = "t.csv", encoding: str = "utf-8") -> Write:
+    raw = content if isinstance(content, bytes) else content.encode(encoding)
+    return saved(name, lambda path: path.write_bytes(raw))
 
 
 def number(value: float, decimal: str) -> str:
@@ -269,54 +278,33 @@ BAD = {
 }  # fmt: skip
 
 
+CUT = "long wide dlc_csv ethovision mothvr idtracker_csv tsv"
+HALVED = "npz npy mat packed_mat mat73 slp dlc_h5 long_parquet trex"
+
+
 def of_damage() -> Iterator[Case]:
     for word, content in BAD.items():
         yield Case(f"bad table, {word}", text(content))
-    for name in ("long", "wide", "dlc_csv", "ethovision", "mothvr", "idtracker_csv", "tsv"):
-        kind = KINDS[name]
+    for word, names in {"cut": CUT, "half of": HALVED}.items():
+        for name in names.split():
 
-        def cut(folder: Path, make: Write = kind.write) -> Path:
-            path = make(folder)
-            path.write_bytes(path.read_bytes()[:-9])
-            return path
+            def part(folder: Path, make: Write = KINDS[name].write, word: str = word) -> Path:
+                raw = (path := make(folder)).read_bytes()
+                path.write_bytes(raw[:-9] if word == "cut" else raw[: len(raw) // 2])
+                return path
 
-        yield Case(f"cut {name}", cut, kind.source)
-    for name in (
-        "npz",
-        "npy",
-        "mat",
-        "packed_mat",
-        "mat73",
-        "slp",
-        "dlc_h5",
-        "long_parquet",
-        "trex",
-    ):
-        kind = KINDS[name]
-
-        def half(folder: Path, make: Write = kind.write) -> Path:
-            path = make(folder)
-            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-            return path
-
-        yield Case(f"half of {name}", half, kind.source)
+            yield Case(f"{word} {name}", part, KINDS[name].source)
 
 
-def workbook(rows: list[list[Any]], name: str = "t.xlsx", **more: list[list[Any]]) -> Write:
-    def write(folder: Path) -> Path:
-        import openpyxl
-
-        book = openpyxl.Workbook()
-        for row in rows:
-            book.active.append(row)
-        for title, others in more.items():
-            sheet = book.create_sheet(title)
-            for row in others:
-                sheet.append(row)
-        book.save(folder / name)
-        return folder / name
-
-    return write
+def workbook(rows: list[list[Any]], **more: list[list[Any]]) -> Write:
+    book = openpyxl.Workbook()
+    for row in rows:
+        book.active.append(row)
+    for title, others in more.items():
+        sheet = book.create_sheet(title)
+        for row in others:
+            sheet.append(row)
+    return saved("t.xlsx", book.save)
 
 
 def changed_workbook(member: str, old: str, new: str) -> Write:
@@ -380,22 +368,14 @@ def of_workbooks() -> Iterator[Case]:
 
 
 def parquet(**changes: Any) -> Write:
-    def write(folder: Path) -> Path:
-        import pandas as pd
-
-        rows = of_numbers()
-        columns = {name: [row[i] for row in rows] for i, name in enumerate(LONG)}
-        count = len(rows)
-        wanted = {key: value(count) for key, value in changes.items()}
-        pd.DataFrame(columns | wanted).to_parquet(folder / "t.parquet", row_group_size=16)
-        return folder / "t.parquet"
-
-    return write
+    rows = of_numbers()
+    columns = {name: [row[i] for row in rows] for i, name in enumerate(LONG)}
+    wanted = {key: value(len(rows)) for key, value in changes.items()}
+    table = pd.DataFrame(columns | wanted)
+    return saved("t.parquet", lambda path: table.to_parquet(path, row_group_size=16))
 
 
 def categories(count: int) -> Any:
-    import pandas as pd
-
     return pd.Categorical(np.tile(["b", "a"], count // 2))
 
 
@@ -423,29 +403,15 @@ def of_parquet() -> Iterator[Case]:
 
 
 def array(value: Any, name: str = "a.npy") -> Write:
-    def write(folder: Path) -> Path:
-        np.save(folder / name, value, allow_pickle=True)
-        return folder / name
-
-    return write
+    return saved(name, lambda path: np.save(path, value, allow_pickle=True))
 
 
 def archive(name: str = "a.npz", **arrays: Any) -> Write:
-    def write(folder: Path) -> Path:
-        np.savez(folder / name, **arrays)
-        return folder / name
-
-    return write
+    return saved(name, lambda path: np.savez(path, **arrays))
 
 
 def mat(packed: bool = False, **arrays: Any) -> Write:
-    def write(folder: Path) -> Path:
-        from scipy.io import savemat
-
-        savemat(folder / "a.mat", arrays, do_compression=packed)
-        return folder / "a.mat"
-
-    return write
+    return saved("a.mat", lambda path: savemat(path, arrays, do_compression=packed))
 
 
 def of_arrays() -> Iterator[Case]:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from golden_table_files import RATE, ROUNDED, Case, Write, archive, text
 
@@ -34,8 +35,6 @@ def lines_changed(make: Write, change: Callable[[list[str]], list[str]]) -> Writ
 
 def hdf_changed(make: Write, change: Callable[[Any], None]) -> Write:
     def write(folder: Path) -> Path:
-        import h5py
-
         path = make(folder)
         with h5py.File(path, "r+") as file:
             change(file)
@@ -130,8 +129,6 @@ def of_trackers() -> Iterator[Case]:
     yield Case("slp, gaps", lambda folder: write_slp(folder, with_gap(POSE)))
 
     def links(file: Any) -> None:
-        import h5py
-
         file["more"] = h5py.ExternalLink("secret.h5", "/bodies")
 
     yield Case("hdf5, a link", hdf_changed(write_idtracker_h5, links))

@@ -143,17 +143,6 @@ def test_benchmark_runs_again_what_a_setting_touches(finished: Path) -> None:
     assert scores.scorings[0].key != first.scorings[0].key
 
 
-def children_of(number: int) -> list[int]:
-    """Processes that a process started."""
-    file = Path(f"/proc/{number}/task/{number}/children")
-    return [int(child) for child in file.read_text().split()]
-
-
-def is_alive(number: int) -> bool:
-    status = Path(f"/proc/{number}/stat")
-    return status.exists() and status.read_text().rpartition(")")[2].split()[0] != "Z"
-
-
 SCRIPT = """
 import sys
 from pathlib import Path
@@ -177,11 +166,12 @@ def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
     while not list(out.glob("cells/*/cost.json")) and child.poll() is None:
         assert time.monotonic() - began < 240
         time.sleep(0.05)
-    workers = children_of(child.pid)
+    numbers = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
+    workers = [Path(f"/proc/{number}/stat") for number in numbers]
     child.kill()  # which leaves it no time to tell its workers
     child.wait(60)
     assert len(workers) >= 2
-    while any(is_alive(worker) for worker in workers):
+    while any(one.exists() and " Z " not in one.read_text() for one in workers):
         assert time.monotonic() - began < 240
         time.sleep(0.05)
     run(tiny(), out)
@@ -256,25 +246,21 @@ def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
         ({"species": ["cat"]}, "species names 'cat': choose among agent"),
         ({"species": []}, "species is empty"),
         ({"recipes": ["dqnn"]}, "algorithm 'dqnn' is unknown"),
-        ({"recipes": "dqn"}, "recipes is 'dqn': give a list"),
-        ({"seeds": [0, 0]}, "names 0 twice"),
+        ({"recipes": "dqn"}, "recipes is 'dqn': give a list"), ({"seeds": [0, 0]}, "names 0 twice"),
         ({"seeds": [-1]}, "one of seeds is -1: give a whole number of at least 0"),
         ({"references": ["dead"]}, "references names 'dead'"),
-        ({"episodes": {"dev": 1}}, "episodes names 'dev'"),
-        ({"repetitions": 0}, "at least 1"),
+        ({"episodes": {"dev": 1}}, "episodes names 'dev'"), ({"repetitions": 0}, "at least 1"),
         ({"settings": {"bcc": {}}}, "algorithm 'bcc' is unknown"),
         ({"preset": "best"}, "preset is 'best': choose default or paper"),
         ({"settings": {"bc": 3}}, "settings of bc is 3"),
         ({"settings": {"dqn": {"learning_speed": 3}}}, "'dqn', which is not among the recipes"),
-        ({"settings": [1]}, "give a table"),
-        ({"files": {"agent": "x.npz"}}, "no packaged species"),
-        ({"files": {"mine": 3}}, "files of mine is 3"),
-        ({"acting": 0.5}, "acting is 0.5"),
+        ({"settings": [1]}, "give a table"), ({"files": {"agent": "x.npz"}}, "no packaged species"),
+        ({"files": {"mine": 3}}, "files of mine is 3"), ({"acting": 0.5}, "acting is 0.5"),
         ({"folds": {"mice": 6}}, "folds names 'mice': choose among agent"),
         ({"folds": {"agent": 6}}, "folds need all episodes"),
         ({"folds": {"agent": "six"}, "episodes": {}}, "folds of agent is 'six'"),
     ],
-)
+)  # fmt: skip
 def test_benchmark_refuses_a_wrong_matrix(changed: dict[str, Any], said: str) -> None:
     refuses(said, tiny, **changed)
 

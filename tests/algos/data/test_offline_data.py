@@ -42,17 +42,12 @@ def arrays(seed: int = 0, lengths: NDArray[np.int64] = LENGTHS) -> dict[str, Any
     actions[np.cumsum(lengths) - 1] = -1
     within = np.concatenate([np.arange(n) for n in lengths])
     return {
-        "observations": rng.normal(size=(frames, k, 4)),
-        "actions": actions,
-        "lengths": lengths,
-        "num_actions": NUM_ACTIONS,
-        "rewards": rng.normal(size=(frames, k)),
+        "observations": rng.normal(size=(frames, k, 4)), "actions": actions, "lengths": lengths,
+        "num_actions": NUM_ACTIONS, "rewards": rng.normal(size=(frames, k)),
         "action_penalties": rng.random((frames, k, NUM_ACTIONS)),
-        "terminated": rng.random(len(lengths)) < 0.5,
-        "condition": rng.integers(0, 2, len(lengths)),
-        "warmup": within < 1,
-        "names": NAMES,
-    }
+        "terminated": rng.random(len(lengths)) < 0.5, "condition": rng.integers(0, 2, len(lengths)),
+        "warmup": within < 1, "names": NAMES,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -103,15 +98,13 @@ def test_every_entry_equals_the_demonstrations() -> None:
                 taken = data["actions"][rows, k].astype(int)
                 scored = data["action_penalties"][rows, k].astype(np.float32)
                 expected = {
-                    "actions": taken,
-                    "labels": taken,
+                    "actions": taken, "labels": taken,
                     "previous_actions": np.concatenate([[NUM_ACTIONS], taken])[:-1],
                     "rewards": data["rewards"][rows, k].astype(np.float32),
-                    "action_penalties": scored,
-                    "penalties": scored[np.arange(steps), taken],
+                    "action_penalties": scored, "penalties": scored[np.arange(steps), taken],
                     "mask": (np.arange(steps) >= 1).astype(float),
                     "terminated": (np.arange(steps) == steps - 1) * data["terminated"][episode],
-                }
+                }  # fmt: skip
                 for name, value in expected.items():
                     tensor = getattr(batch, name)[k, :, b]
                     np.testing.assert_array_equal(tensor[:steps], value, err_msg=name)

@@ -144,14 +144,11 @@ class Tracker(DTWTracker):
 @pytest.mark.parametrize(
     ("species", "options", "steps"),
     [
-        ("agent", {}, 300),
-        ("agent", {"dtw": "increment"}, 300),
-        ("agent", {"dtw": "cumulative"}, 100),
-        ("agent", {"focal": "prey"}, 150),
-        ("fly", {"rebound": False}, 150),
-        ("silkmoth", {"condition_flag": True}, 610),
+        ("agent", {}, 300), ("agent", {"dtw": "increment"}, 300),
+        ("agent", {"dtw": "cumulative"}, 100), ("agent", {"focal": "prey"}, 150),
+        ("fly", {"rebound": False}, 150), ("silkmoth", {"condition_flag": True}, 610),
     ],
-)
+)  # fmt: skip
 def test_penalties_and_labels_are_those_of_a_tracker(
     species: str, options: dict[str, Any], steps: int
 ) -> None:

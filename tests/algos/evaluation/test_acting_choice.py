@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -225,8 +226,6 @@ def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: Run) 
 
 
 def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_path: Path) -> None:
-    import shutil
-
     copy = tmp_path / "run"
     shutil.copytree(run.path, copy)
     file = copy / "policies" / "soft-bc.acting.json"

@@ -16,13 +16,9 @@ def metrics_rows(
     names = ("path_length", "duration", "dtw", "dtw_per_step")
     columns: dict[str, object] = {"method": method, "seed": seed, "demo": np.arange(count)}
     columns |= {
-        "repetition": 0,
-        "condition": 0,
-        "cue": -1,
-        "outcome": 0,
-        "captured": captured,
+        "repetition": 0, "condition": 0, "cue": -1, "outcome": 0, "captured": captured,
         "factual": True,
-    }
+    }  # fmt: skip
     columns |= {"reached": captured.astype(float), **dict.fromkeys(names, value), **more}
     return pd.DataFrame(columns)
 

@@ -78,15 +78,11 @@ def test_the_terminal_table_names_every_method() -> None:
 def pace() -> Iterator[Metric]:
     """A metric of somebody's own: one entry, and nothing else changed."""
     metric = Metric(
-        key="pace",
-        label="Pace",
-        unit="arena units/s",
+        key="pace", label="Pace", unit="arena units/s",
         measure=lambda episodes: episodes.path_length / (episodes.rollouts.lengths - 1),
-        planned=True,
-        too_much="paces too fast",
-        caption="Path length over duration.",
+        planned=True, too_much="paces too fast", caption="Path length over duration.",
         heading="pace",
-    )
+    )  # fmt: skip
     add_metric(metric)
     yield metric
     METRICS.remove(metric)

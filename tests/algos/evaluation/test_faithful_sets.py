@@ -60,13 +60,10 @@ def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
 @pytest.mark.parametrize(
     ("floor", "auc", "met"),
     [
-        (0.60, 0.69, "yes"),
-        (0.60, 0.71, "no"),
-        (0.45, 0.54, "yes"),
-        (0.45, 0.56, "no"),
+        (0.60, 0.69, "yes"), (0.60, 0.71, "no"), (0.45, 0.54, "yes"), (0.45, 0.56, "no"),
         (math.nan, 0.5, "cannot be said"),
     ],
-)
+)  # fmt: skip
 def test_an_area_is_at_most_so_much_above_the_floor(floor: float, auc: float, met: str) -> None:
     row, _ = bar_rows(NAMED["courtship"], found(floor, auc=auc))
     assert row["met?"] == met
@@ -76,15 +73,11 @@ def test_an_area_is_at_most_so_much_above_the_floor(floor: float, auc: float, me
 @pytest.mark.parametrize(
     ("floor", "among", "met"),
     [
-        (0.75, 0.5, "yes"),
-        (0.76, 0.5, "no"),
-        (0.78, 0.74, "yes"),
-        (0.80, 0.74, "no"),
-        (0.70, math.nan, "yes"),
-        (0.76, math.nan, "cannot be said"),
+        (0.75, 0.5, "yes"), (0.76, 0.5, "no"), (0.78, 0.74, "yes"), (0.80, 0.74, "no"),
+        (0.70, math.nan, "yes"), (0.76, math.nan, "cannot be said"),
         (math.nan, 0.5, "cannot be said"),
     ],
-)
+)  # fmt: skip
 def test_a_floor_is_low_or_near_that_of_recordings(
     name: str, floor: float, among: float, met: str
 ) -> None:

@@ -50,14 +50,10 @@ def rollouts_of(demos: Demonstrations, paths: list[np.ndarray], each: int) -> Ro
     )  # fmt: skip
 
 
-def shoals(groups: int, seed: int, law: shoal.ZonalLaw = LAW) -> list[np.ndarray]:
-    paths = shoal.simulate(law, groups, ANIMALS, STEPS + 60, np.random.default_rng(seed))
-    return list(paths[:, 60:] / law.tank)
-
-
 @pytest.fixture(scope="module")
 def group() -> Demonstrations:
-    return recorded(shoals(GROUPS, 1), TANK, LAW.dt)
+    paths = shoal.simulate(LAW, GROUPS, ANIMALS, STEPS + 60, np.random.default_rng(1))
+    return recorded(list(paths[:, 60:] / LAW.tank), TANK, LAW.dt)
 
 
 @pytest.fixture(scope="module")

@@ -46,12 +46,9 @@ def test_weights_are_a_resample() -> None:
 
 def test_cells_gather_what_counts() -> None:
     data = cells(
-        values=[1.0, 3.0, 10.0, np.nan, 7.0],
-        seed=[4, 4, 4, 9, 9],
-        demo=[0, 0, 2, 0, 1],
-        num_demos=3,
-        counts=[True, True, True, True, False],
-    )
+        values=[1.0, 3.0, 10.0, np.nan, 7.0], seed=[4, 4, 4, 9, 9], demo=[0, 0, 2, 0, 1],
+        num_demos=3, counts=[True, True, True, True, False],
+    )  # fmt: skip
     assert data.sums.tolist() == [[4.0, 0.0, 10.0], [0.0, 0.0, 0.0]]
     assert data.counts.tolist() == [[2.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
     assert data.mean == pytest.approx(14.0 / 3.0)

@@ -159,21 +159,15 @@ def present_observation(model: Any) -> Any:
     return env._slots(env.observe())
 
 
-def learn_until(model: SequenceQLearning, step: int, folder: Path) -> None:
-    model.learn(
-        WHOLE_RUN - model.num_timesteps,
-        callback=[CheckpointCallback(folder, every=10_000), StopAt(step)],
-        reset_num_timesteps=False,
-    )
-
-
 @pytest.mark.parametrize("train_freq", [(1, "episode"), (3, "episode"), (7, "step")])
 def test_a_callback_may_stop_at_any_step(train_freq: tuple[int, str], tmp_path: Path) -> None:
     """Continuing, and resuming from the checkpoint, equal a straight run."""
     straight = make_pair_learner("dqn", train_freq=train_freq).learn(WHOLE_RUN)
     stopped = make_pair_learner("dqn", train_freq=train_freq)
     for step in (41, 58, 60, 62, 95, 130, WHOLE_RUN):
-        learn_until(stopped, step, tmp_path)
+        until = [CheckpointCallback(tmp_path, every=10_000), StopAt(step)]
+        left = WHOLE_RUN - stopped.num_timesteps
+        stopped.learn(left, callback=until, reset_num_timesteps=False)
         np.testing.assert_array_equal(stopped._last_obs, present_observation(stopped))
         if step == 95:
             resumed = make_pair_learner("dqn", train_freq=train_freq, seed=99)
@@ -229,12 +223,9 @@ def cloning(policy: str = "MlpPolicy", **more: Any) -> SequenceQLearning:
     """Soft-label cloning with everything switched on."""
     kwargs = {"hidden": 16, "dropout": 0.1} | ({"skip": True} if policy == "GruPolicy" else {})
     settings = {
-        "policy_kwargs": kwargs,
-        "offline_kwargs": WINDOWS if policy == "GruPolicy" else STEPS,
-        "offline_learning_rate": 1e-2,
-        "offline_batch_size": 64,
-        "offline_epochs": 10,
-    }
+        "policy_kwargs": kwargs, "offline_kwargs": WINDOWS if policy == "GruPolicy" else STEPS,
+        "offline_learning_rate": 1e-2, "offline_batch_size": 64, "offline_epochs": 10,
+    }  # fmt: skip
     return make_pair_learner("soft-bc", policy, **settings | more)
 
 

@@ -17,14 +17,17 @@ from refusals import refuses
 
 import animarl_algos.learner.pretraining
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import DQDIL, DQN
 
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A learner after forty steps."""
+    """A learner after forty steps, told how to act."""
     file = tmp_path_factory.mktemp("saved") / "model"
-    make_pair_learner("dqn").learn(40).save(file)
+    model = make_pair_learner("dqn").learn(40)
+    model.policy.acting = Acting.boltzmann(0.5)
+    model.save(file)
     return file
 
 
@@ -32,6 +35,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_loaded_learner_goes_on_in_the_environment_it_is_given(copies: int, saved: Path) -> None:
     loaded = DQN.load(saved, device="cpu")
     refuses("call set_env first", loaded.learn, 10)
+    assert loaded.policy.acting == Acting.boltzmann(0.5)
     before = weights(loaded)
     loaded.set_env(toys.Pair(copies))
     loaded.learn(60)

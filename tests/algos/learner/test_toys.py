@@ -55,15 +55,11 @@ def lock_demonstrations() -> Split:
     rewards = np.zeros(len(places))
     rewards[last - 1] = 1.0
     dataset = OfflineDataset(
-        toys.Lock.features(places)[:, None],
-        actions[:, None],
-        np.array([len(run) for run in runs]),
-        toys.Lock.num_actions,
-        rewards=rewards[:, None],
+        toys.Lock.features(places)[:, None], actions[:, None], np.array([len(run) for run in runs]),
+        toys.Lock.num_actions, rewards=rewards[:, None],
         action_penalties=(np.arange(3) != actions[:, None]).astype(float)[:, None],
-        terminated=np.ones(len(runs), dtype=bool),
-        names=("agent",),
-    )
+        terminated=np.ones(len(runs), dtype=bool), names=("agent",),
+    )  # fmt: skip
     return Split(dataset, dataset)
 
 

@@ -202,17 +202,14 @@ def minibatch(seed: int = 0, quantiles: int = 1, **numbers: Any) -> MinibatchVal
         return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
     batch = SimpleNamespace(
-        num_steps=2,
-        actions=torch.tensor([[[0, 2], [1, 1]], [[2, 0], [0, 1]]]),
-        rewards=drawn(*SHAPE),
-        penalties=drawn(*SHAPE).abs(),
+        num_steps=2, actions=torch.tensor([[[0, 2], [1, 1]], [[2, 0], [0, 1]]]),
+        rewards=drawn(*SHAPE), penalties=drawn(*SHAPE).abs(),
         terminated=torch.tensor([[[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 0.0]]]),
         weights=torch.tensor([[1.0, 0.5], [0.25, 1.0]], dtype=torch.float64),
         labels=torch.tensor([[[1, -1], [0, 2]], [[2, 1], [-1, 0]]]),
-        condition=torch.tensor([[0.0, 1.0], [1.0, 0.0]]),
-        action_penalties=drawn(*SHAPE, 3).abs(),
+        condition=torch.tensor([[0.0, 1.0], [1.0, 0.0]]), action_penalties=drawn(*SHAPE, 3).abs(),
         label_shares=None,
-    )
+    )  # fmt: skip
     return MinibatchValues(
         batch=batch,  # type: ignore[arg-type]
         phase=phase(**numbers),

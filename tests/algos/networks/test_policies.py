@@ -61,18 +61,13 @@ def test_carried_state_equals_the_whole_sequence(kind: type[GruPolicy], options:
 shapes = pytest.mark.parametrize(
     "shape",
     [
-        {},
-        {"depth": 1},
-        {"depth": 3, "hidden": 9},
-        {"head_layers": 0},
+        {}, {"depth": 1}, {"depth": 3, "hidden": 9}, {"head_layers": 0},
         {"head_layers": 0, "condition_flag": False, "previous_action": False},
-        {"skip": True, "dropout": 0.5},
-        {"skip": True, "depth": 3, "head_layers": 0},
-        {"condition_input": "encoder"},
-        {"condition_input": "encoder", "head_layers": 0},
+        {"skip": True, "dropout": 0.5}, {"skip": True, "depth": 3, "head_layers": 0},
+        {"condition_input": "encoder"}, {"condition_input": "encoder", "head_layers": 0},
     ],
     ids=lambda shape: "-".join(map(str, shape)) or "plain",
-)
+)  # fmt: skip
 
 
 @kinds

@@ -48,18 +48,14 @@ class Stream:
             truncated = (rng.random(self.copies) < self.end_rate / 2) | (age + 1 == self.max_steps)
             truncated &= ~terminated
             yield {
-                "observations": now,
-                "actions": rng.integers(0, NUM_ACTIONS, pair),
-                "rewards": rng.normal(size=pair).astype(np.float32),
-                "next_observations": following,
-                "terminated": terminated,
-                "truncated": truncated,
+                "observations": now, "actions": rng.integers(0, NUM_ACTIONS, pair),
+                "rewards": rng.normal(size=pair).astype(np.float32), "next_observations": following,
+                "terminated": terminated, "truncated": truncated,
                 "penalties": rng.random(pair).astype(np.float32),
-                "labels": rng.integers(-1, NUM_ACTIONS, pair),
-                "warmup": age < self.warmup_steps,
+                "labels": rng.integers(-1, NUM_ACTIONS, pair), "warmup": age < self.warmup_steps,
                 "hidden": rng.normal(size=(*pair, STATE)).astype(np.float32),
                 "condition": condition.copy(),
-            }
+            }  # fmt: skip
             done = terminated | truncated
             age = np.where(done, 0, age + 1)
             now = np.where(done[:, None, None], rng.normal(size=now.shape), following)
@@ -159,15 +155,11 @@ def check_column(
 
 @settings(max_examples=40, deadline=None)
 @given(
-    seed=st.integers(0, 10_000),
-    copies=st.integers(1, 4),
-    individuals=st.integers(1, 3),
-    max_steps=st.integers(1, 9),
-    room=st.integers(0, 40),
-    warmup_steps=st.integers(0, 3),
+    seed=st.integers(0, 10_000), copies=st.integers(1, 4), individuals=st.integers(1, 3),
+    max_steps=st.integers(1, 9), room=st.integers(0, 40), warmup_steps=st.integers(0, 3),
     piece=st.none() | st.tuples(st.integers(1, 4), st.integers(0, 4), st.booleans()),
     prioritized=st.booleans(),
-)
+)  # fmt: skip
 def test_content_equals_a_plain_reference(
     seed: int,
     copies: int,

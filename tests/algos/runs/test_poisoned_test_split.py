@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import refuses
+from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix, plan
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -15,7 +16,6 @@ from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_files import weights_file
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.fitting.custom_species import species_of
 from tools.make_pretrained import validation_mismatch
@@ -31,12 +31,8 @@ IQ: dict[str, Any] = {
 
 
 def a_few(species: str = "custom") -> Demonstrations:
-    """Sixteen packaged (synthetic) chases of all splits, as a species of one's own."""
-    all_of_them = load_packaged("agent")
-    chosen = [np.flatnonzero(all_of_them.split == s)[:n] for s, n in (("train", 10), ("val", 3))]
-    test = np.flatnonzero(all_of_them.split == "test")[:3]
-    kept = all_of_them.select(episodes=np.concatenate([*chosen, test]))
-    return replace(kept, species=species)
+    """Packaged (synthetic) chases of all splits, as a species of one's own."""
+    return replace(few(train=5, val=2, test=2), species=species)
 
 
 def poisoned(demos: Demonstrations, split: str = "test") -> Demonstrations:

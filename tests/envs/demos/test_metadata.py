@@ -301,22 +301,16 @@ def content(**changes: Any) -> dict[str, Any]:
     frames = sum(LENGTHS)
     random = np.random.default_rng(0)
     values: dict[str, Any] = {
-        "species": "custom",
-        "individuals": ("hunter_0", "prey"),
-        "roles": ("pursuer", "target"),
-        "dt": 0.1,
-        "arena": Arena("square", 1.0, 1.1),
-        "positions": random.uniform(-1, 1, (frames, 2, 2)),
-        "lengths": np.array(LENGTHS),
-        "initial_velocity": random.uniform(-1, 1, (3, 2, 2)),
-        "condition": np.array([0, 1, 1]),
-        "outcome": np.array([0, 1, -1]),
-        "split": np.array(["train", "val", "train"]),
+        "species": "custom", "individuals": ("hunter_0", "prey"), "roles": ("pursuer", "target"),
+        "dt": 0.1, "arena": Arena("square", 1.0, 1.1),
+        "positions": random.uniform(-1, 1, (frames, 2, 2)), "lengths": np.array(LENGTHS),
+        "initial_velocity": random.uniform(-1, 1, (3, 2, 2)), "condition": np.array([0, 1, 1]),
+        "outcome": np.array([0, 1, -1]), "split": np.array(["train", "val", "train"]),
         "recording": np.array(["a", "b", "b"]),
         "signals": {"actions": np.zeros((frames, 2), dtype=np.int8)},
         "provenance": {"source": "drawn at random", "licence": "MIT", "synthetic": True},
         "name": "tracks.npz",
-    }
+    }  # fmt: skip
     return values | changes
 
 
@@ -331,17 +325,13 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     (edited("positions", (5, 1, 0), np.nan), "episode 1, frame 1, prey"),
     (edited("positions", (7, 0, 1), 3.0), "outside the arena"),
     (edited("initial_velocity", (0, 0, 0), np.inf), "initial_velocity"),
-    ({"lengths": np.array([4, 2, 7])}, "add up"),
-    ({"lengths": np.array([5, 1, 6])}, "1 frame:"),
+    ({"lengths": np.array([4, 2, 7])}, "add up"), ({"lengths": np.array([5, 1, 6])}, "1 frame:"),
     ({"lengths": np.array([6, 0, 6])}, "0 frames"),
-    ({"positions": np.zeros((12, 3, 2))}, "not (frames, 2, 2)"),
-    ({"dt": 0.0}, "dt"),
-    ({"dt": -0.1}, "dt"),
-    ({"dt": float("nan")}, "dt"),
+    ({"positions": np.zeros((12, 3, 2))}, "not (frames, 2, 2)"), ({"dt": 0.0}, "dt"),
+    ({"dt": -0.1}, "dt"), ({"dt": float("nan")}, "dt"),
     ({"individuals": ("prey", "prey")}, "appears twice"),
     ({"positions": content()["positions"][:, [0, 0]]}, "same track"),
-    ({"roles": ("target", "target")}, "comes last"),
-    ({"roles": ("pursuer", "bystander")}, "roles"),
+    ({"roles": ("target", "target")}, "comes last"), ({"roles": ("pursuer", "bystander")}, "roles"),
     ({"condition": np.array([0, 2, 1])}, "condition"),
     ({"condition": np.array([0, 1])}, "2 entries for 3 episodes"),
     ({"outcome": np.array([0, 9, 0])}, "outcome"),
@@ -349,7 +339,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"signals": {"odour": np.zeros(5)}}, "odour"),
     ({"provenance": {"source": "x", "synthetic": True}}, "licence"),
     ({"individuals": (), "roles": ()}, "no individuals"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("changes", "words"), REFUSED, ids=[w for _, w in REFUSED])

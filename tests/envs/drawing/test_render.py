@@ -41,25 +41,18 @@ def renderer() -> Renderer:
 
 def make_scene(**changes: Any) -> Scene:
     scene = Scene(
-        species=HUNT,
-        positions=np.array([(0.5, 0.4), (-0.5, -0.6)]),
-        headings=np.array([0.7, 2.0]),
-        trails=np.zeros((0, 2, 2)),
-        rewards=np.zeros(2),
-    )
+        species=HUNT, positions=np.array([(0.5, 0.4), (-0.5, -0.6)]), headings=np.array([0.7, 2.0]),
+        trails=np.zeros((0, 2, 2)), rewards=np.zeros(2),
+    )  # fmt: skip
     return dataclasses.replace(scene, **changes)
 
 
 def make_search(path: np.ndarray, **changes: Any) -> Scene:
     """A moth at the end of its path ``(t, 2)``."""
     return Scene(
-        species=SILKMOTH,
-        positions=path[-1:],
-        headings=np.array([3.0]),
-        trails=path[:, None],
-        rewards=np.zeros(1),
-        **changes,
-    )
+        species=SILKMOTH, positions=path[-1:], headings=np.array([3.0]), trails=path[:, None],
+        rewards=np.zeros(1), **changes,
+    )  # fmt: skip
 
 
 def pixel_of(scene: Scene, point: tuple[float, float]) -> tuple[int, int]:
@@ -238,11 +231,9 @@ def test_many_individuals_fit_the_strip(renderer):
     names = [f"a_rather_long_name_{i}" for i in range(12)]
     crowd = make_scene(
         species=with_options(HUNT, individuals=names),
-        positions=np.linspace((-0.9, -0.9), (0.9, 0.9), 12),
-        headings=np.zeros(12),
-        trails=np.zeros((0, 12, 2)),
-        rewards=np.zeros(12),
-    )
+        positions=np.linspace((-0.9, -0.9), (0.9, 0.9), 12), headings=np.zeros(12),
+        trails=np.zeros((0, 12, 2)), rewards=np.zeros(12),
+    )  # fmt: skip
     picture = renderer.draw(crowd)
     margin = round(0.02 * SIZE)
     assert colour_distance(picture[SIZE:, -margin:].min(axis=(0, 1)), palette.BACKGROUND) == 0

@@ -27,6 +27,7 @@ from animarl_envs.fitting import (
 from animarl_envs.fitting.joint import fast_speed
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.focus import focus_directions
+from animarl_envs.importing.readers import default_recipe, follow, get_reader
 from animarl_envs.locomotion import MOST_THRUSTS, Locomotion, apply_actions, infer_actions
 from animarl_envs.species import FLY
 
@@ -186,8 +187,6 @@ def test_numbers_of_magnitudes_are_read() -> None:
 
 @pytest.mark.realdata
 def test_recorded_moths_are_followed_more_closely_with_three(data_dir: Path) -> None:
-    from animarl_envs.importing.readers import default_recipe, follow, get_reader
-
     files = sorted((data_dir / "silkmoth_mothvr" / "raw").glob("*.csv"))
     demos = follow(default_recipe(get_reader("mothvr")), files).select(split="train")
     one, many = (track(demos, joint_locomotion(demos, m)) for m in (1, 3))

@@ -12,7 +12,7 @@ from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
 from animarl_envs.demos.splits import Splitting
-from animarl_envs.demos.summary import summarise
+from animarl_envs.demos.summary import episode_table, summarise
 from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import (
@@ -298,8 +298,6 @@ def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None
 
 
 def test_filled_gaps_are_marked_in_the_episodes_and_their_table() -> None:
-    from animarl_envs.demos.summary import episode_table
-
     bodies = np.concatenate([wave(0.1, 30.0), 0.5 * wave(0.1, 30.0)], axis=1)
     bodies[100:104, 1] = np.nan
     recipe = ImportRecipe(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openpyxl
 import pandas as pd
 import pytest
 from commands import animarl
@@ -29,15 +30,11 @@ ISO = pd.Timestamp("2024-05-01 10:00:00") + pd.to_timedelta(np.arange(COUNT) / R
 def long(**names: str) -> pd.DataFrame:
     """Columns frame, time, id, x, y under other names; those not named are left out."""
     columns = {
-        "frame": np.repeat(np.arange(COUNT), 2),
-        "time": np.repeat(np.arange(COUNT), 2) / RATE,
-        "iso": np.repeat(ISO, 2),
-        "id": np.tile(WHO, COUNT),
-        "number": np.tile([0, 1], COUNT),
-        "x": BODIES[..., 0].ravel(),
-        "y": BODIES[..., 1].ravel(),
+        "frame": np.repeat(np.arange(COUNT), 2), "time": np.repeat(np.arange(COUNT), 2) / RATE,
+        "iso": np.repeat(ISO, 2), "id": np.tile(WHO, COUNT), "number": np.tile([0, 1], COUNT),
+        "x": BODIES[..., 0].ravel(), "y": BODIES[..., 1].ravel(),
         "score": np.tile([0.9, 0.95], COUNT),
-    }
+    }  # fmt: skip
     return pd.DataFrame({new: columns[old] for old, new in names.items()})
 
 
@@ -99,8 +96,6 @@ def ethovision(path: Path) -> None:
 
 def ethovision_workbook(path: Path) -> None:
     """A sheet for each subject."""
-    import openpyxl
-
     book = openpyxl.Workbook()
     book.remove(book.active)
     for i, who in enumerate(WHO):
@@ -250,8 +245,6 @@ def test_exports_of_one_animal_each_are_merged(tmp_path: Path) -> None:
 
 def test_exports_in_workbooks_that_ask_for_too_much_are_refused(tmp_path: Path) -> None:
     """A lone cell at the far end of a sheet."""
-    import openpyxl
-
     book = openpyxl.Workbook()
     book.active["A1"], book.active["XFD1048576"] = "frame", 1
     book.save(tmp_path / "far.xlsx")

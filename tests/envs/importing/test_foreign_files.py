@@ -3,7 +3,9 @@
 A planted pickle writes a marker file when it is opened; none may be there afterwards.
 """
 
+import base64
 import io
+import json
 import os
 import pickle
 import zipfile
@@ -11,7 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from refusals import refused, refuses
@@ -25,12 +30,14 @@ from animarl_envs.importing.readers import available_readers, read, read_tracks
 from animarl_envs.importing.readers.arrays import load_plain
 from tools.fuzz.layouts import (
     write_analysis,
+    write_authors_newt,
     write_dlc_csv,
     write_dlc_h5,
     write_idtracker_h5,
     write_mat73,
     write_minari,
     write_native,
+    write_termites,
 )
 
 
@@ -59,8 +66,6 @@ def marker(tmp_path: Path) -> Any:
 def test_a_pickle_in_an_attribute_of_foreign_hdf5_does_not_run(
     attribute: str, source: str | None, tmp_path: Path, marker: Path
 ) -> None:
-    import h5py
-
     path = write_dlc_h5(tmp_path)
     raw = pickle.dumps(Planted(marker), protocol=0)
     with h5py.File(path, "r+") as file:
@@ -126,8 +131,6 @@ def test_a_foreign_pickle_does_not_run(protocol: int, tmp_path: Path, marker: Pa
 
 def test_foreign_metadata_of_minari_names_no_code(tmp_path: Path, marker: Path) -> None:
     """Neither its environment nor its spaces are made; its format is not followed."""
-    import json
-
     path = write_minari(tmp_path)
     clean = read(path).fingerprint()
     file = path.parent / "metadata.json"
@@ -140,9 +143,6 @@ def test_foreign_metadata_of_minari_names_no_code(tmp_path: Path, marker: Path) 
 
 def test_a_zip_of_a_model_is_no_foreign_data(tmp_path: Path, marker: Path) -> None:
     """As stable-baselines3 writes them; opened as a model it would run (see SECURITY.md)."""
-    import base64
-    import json
-
     entry = base64.b64encode(pickle.dumps(Planted(marker))).decode()
     for name in ("model.zip", "model.npz"):
         with zipfile.ZipFile(tmp_path / name, "w") as archive:
@@ -199,9 +199,6 @@ def header_of_many_columns(path: Path) -> None:
 
 
 def parquet_of_many_columns(path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     column = pa.array([0.0])
     table = pa.table({f"x_{i}": column for i in range(20_000)})
     pq.write_table(table, path.with_suffix(".parquet"))
@@ -209,9 +206,6 @@ def parquet_of_many_columns(path: Path) -> None:
 
 def parquet_dictionary(path: Path) -> None:
     """A text of a megabyte, said once, to which 4,000 rows refer."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     rows = 4000
     ids = pa.DictionaryArray.from_arrays(pa.array([0] * rows, pa.int32()), ["a" * 700_000])
     columns = {"frame": np.arange(rows), "id": ids, "x": np.zeros(rows), "y": np.zeros(rows)}
@@ -219,8 +213,6 @@ def parquet_dictionary(path: Path) -> None:
 
 
 def hdf5_of_nothing(path: Path) -> None:
-    import h5py
-
     with h5py.File(path.with_suffix(".h5"), "w") as file:
         shape = (200_000_000, 1, 2)
         file.create_dataset("trajectories", shape, "i1", chunks=(2**20, 1, 2), compression="gzip")
@@ -274,8 +266,6 @@ def test_pipes_devices_and_endless_links_are_no_foreign_files(
 
 def test_pipes_beside_foreign_files_are_refused(tmp_path: Path) -> None:
     """Tables that a reader looks for by itself."""
-    from tools.fuzz.layouts import write_authors_newt, write_termites
-
     path = write_termites(tmp_path)
     (tmp_path / "index.csv").unlink()
     os.mkfifo(tmp_path / "index.csv")
@@ -290,14 +280,10 @@ def test_pipes_beside_foreign_files_are_refused(tmp_path: Path) -> None:
 
 
 def external_link(file: Any, elsewhere: Path) -> None:
-    import h5py
-
     file["more"] = h5py.ExternalLink(str(elsewhere), "/bodies")
 
 
 def soft_link(file: Any, elsewhere: Path) -> None:
-    import h5py
-
     file["more"] = h5py.SoftLink("/bodies")
 
 
@@ -306,16 +292,12 @@ def external_storage(file: Any, elsewhere: Path) -> None:
 
 
 def virtual(file: Any, elsewhere: Path) -> None:
-    import h5py
-
     layout = h5py.VirtualLayout((40, 2, 2), "f8")
     layout[:] = h5py.VirtualSource(str(elsewhere), "bodies", (40, 2, 2))
     file.create_virtual_dataset("more", layout)
 
 
 def strange_float(file: Any, elsewhere: Path) -> None:
-    import h5py
-
     kind = h5py.h5t.IEEE_F64LE.copy()
     kind.set_fields(63, 53, 10, 0, 53)  # a mantissa of one bit more
     kind.set_ebias(511)
@@ -342,8 +324,6 @@ POINTING: dict[str, tuple[Callable[[Any, Path], None], str]] = {
 def test_foreign_hdf5_is_not_followed(
     kind: str, write: Callable[[Path], Path], tmp_path: Path
 ) -> None:
-    import h5py
-
     secret = write_mat73(tmp_path).rename(tmp_path / "secret.h5")
     path = write(tmp_path)
     change, message = POINTING[kind]

@@ -137,8 +137,7 @@ def test_data_commands(tmp_path: Path) -> None:
     demos = read(path)
     assert "predator_0 (pursuer)" in animarl("data", "show", path)
     assert "3 episodes, all valid" in animarl("data", "check", path, "--out", tmp_path / "t.csv")
-    with (tmp_path / "t.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
     assert [float(row["duration"]) for row in rows] == pytest.approx([0.5, 0.3, 0.9])
     step = np.linalg.norm(np.diff(demos.episode(0).positions[:, 2], axis=0), axis=1)
     assert float(rows[0]["path_length_prey"]) == pytest.approx(step.sum())
@@ -150,8 +149,7 @@ def test_data_commands(tmp_path: Path) -> None:
     back = read(tmp_path / "minari-v0" / "data" / "main_data.hdf5")
     assert back.fingerprint() == demos.fingerprint()
     animarl("data", "convert", path, "--out", tmp_path / "table.csv")
-    with (tmp_path / "table.csv").open() as file:
-        first = next(csv.DictReader(file))
+    first = next(csv.DictReader((tmp_path / "table.csv").read_text().splitlines()))
     assert float(first["x"]) == demos.positions[0, 0, 0]
     assert "long-table" in animarl("data", "sources")
 
@@ -163,8 +161,7 @@ def test_fit_command_saves_what_it_prints(tmp_path: Path) -> None:
     fit = LocomotionFit.load(out)
     assert f"{fit.individuals[0].damping:.3f}" in said
     animarl("fit", path, "--split", "all", "--bootstrap", 0, "--out", tmp_path / "fit.csv")
-    with (tmp_path / "fit.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = list(csv.DictReader((tmp_path / "fit.csv").read_text().splitlines()))
     assert [row["individual"] for row in rows] == ["male", "female"]
     assert float(rows[0]["d"]) == fit.individuals[0].damping
     refuses(r"use \.csv or \.json", animarl, "fit", path, "--out", tmp_path / "fit.txt")

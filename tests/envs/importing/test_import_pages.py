@@ -18,19 +18,14 @@ PAGES = DOCS / "data"
 WITH_FILES, WITH_DATA = ("README.md", "readers.md"), "../gallery.md"
 
 
-def console_lines(page: str) -> list[list[str]]:
-    """The words of each line after ``$ animarl``, in the order of the page."""
-    blocks = re.findall(r"```console\n(.*?)```", (PAGES / page).read_text(), flags=re.DOTALL)
+def console_lines(page: str, *parts: int) -> list[list[str]]:
+    """The words of each line after ``$ animarl`` in a page, or under some of its headings."""
+    texts = (PAGES / page).read_text().split("\n## ")
+    text = "\n".join([texts[1 + part] for part in parts] or texts)
+    blocks = re.findall(r"```console\n(.*?)```", text, flags=re.DOTALL)
     lines = [line for block in blocks for line in block.splitlines()]
     assert lines and all(line.startswith("$ animarl ") for line in lines)
     return [shlex.split(line.removeprefix("$ animarl ")) for line in lines]
-
-
-def section(page: str, number: int) -> list[list[str]]:
-    """The lines under one heading of the second level."""
-    parts = (PAGES / page).read_text().split("\n## ")[1:]
-    lines = re.findall(r"^\$ animarl (.*)$", parts[number], flags=re.MULTILINE)
-    return [shlex.split(line) for line in lines]
 
 
 @pytest.fixture
@@ -70,19 +65,11 @@ def test_import_of_the_worked_examples(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert len(re.findall(r"^## ", (PAGES / WITH_DATA).read_text(), flags=re.MULTILINE)) == 5
-    for words in section(WITH_DATA, number):
+    for words in console_lines(WITH_DATA, number):
         given = [word.replace("$DATA", str(data_dir)) for word in words]
-        said = animarl(*(name for word in given for name in expanded(word)))
-        assert said.strip()
+        files = {w: sorted(map(str, Path(w).parent.glob(Path(w).name))) for w in given if "*" in w}
+        assert animarl(*(name for word in given for name in files.get(word, [word]))).strip()
     assert len(list(tmp_path.glob("*.png"))) == len(list(tmp_path.glob("*.recipe.yaml"))) == 1
-
-
-def expanded(word: str) -> list[str]:
-    """What the shell makes of a pattern."""
-    if "*" not in word:
-        return [word]
-    path = Path(word)
-    return sorted(map(str, path.parent.glob(path.name)))
 
 
 def test_python_of_the_reader_pages_runs() -> None:

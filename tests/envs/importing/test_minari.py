@@ -4,6 +4,7 @@ import json
 import socket
 from pathlib import Path
 
+import minari
 import numpy as np
 import pytest
 from refusals import refuses
@@ -62,8 +63,6 @@ def test_minari_round_trip_is_exact_and_opens_no_connection(
 
 
 def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import minari
-
     demos = demonstrations(actions=True)
     export_minari(demos, tmp_path / "set-v0")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
@@ -83,8 +82,6 @@ def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.Mon
 def test_minari_finds_all_packaged_sets_under_stable_ids(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import minari
-
     assert export_packaged(tmp_path) == [f"animarl/{n}/demonstrations-v0" for n in packaged_names()]
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     assert len(minari.list_local_datasets()) == len(packaged_names())

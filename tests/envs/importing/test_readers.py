@@ -80,8 +80,6 @@ def test_trex_reader_returns_positions_frame_rate_and_gaps(tmp_path: Path) -> No
 
 
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
-    from animarl_envs.importing.import_recipe import ImportRecipe
-
     write_trex(tmp_path)
     files = sorted(tmp_path.glob("video_fish*.npz"))
     demos = follow(ImportRecipe(target="fish1"), files)
@@ -205,8 +203,6 @@ def test_import_of_termite_pairs_cut_from_three_to_one_body_length(
 
 @pytest.mark.realdata
 def test_import_of_the_sleap_clip_agrees_with_its_plain_array(data_dir: Path) -> None:
-    from animarl_envs.importing.readers import read_tracks
-
     folder = data_dir / "fly_courtship_sleapclip"
     (tracks,) = read_tracks(folder / "clip.2node.slp")
     with np.load(folder / "clip_2node_tracks.npz") as plain:

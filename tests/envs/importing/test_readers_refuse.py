@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from refusals import refuses
 
@@ -89,9 +91,6 @@ def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) ->
 
 def test_parquet_reader_refuses_rows_beyond_what_the_file_may_ask_for(tmp_path: Path) -> None:
     """40 million equal rows shrink to a few kilobytes: no tracks do, so it is a bomb."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path, zeros = tmp_path / "bomb.parquet", pa.array(np.zeros(1_000_000))
     columns = {name: zeros for name in ("frame", "x", "y")}
     columns["id"] = pa.array(["a"] * 1_000_000).dictionary_encode()

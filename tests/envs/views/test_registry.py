@@ -7,6 +7,7 @@ import pickle
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -114,18 +115,11 @@ def test_registry_is_what_is_tested() -> None:
     assert len(CASES) > 40
 
 
-def sb3_check_env(env: Any) -> None:
-    """Stable-baselines3's, where it is installed: the core does without."""
-    if find_spec("stable_baselines3") is not None:
-        from stable_baselines3.common.env_checker import check_env
-
-        check_env(env)
-
-
 @every_case
 def test_registry_single_passes_the_libraries_checks(case: Case) -> None:
     env = case.single()
-    sb3_check_env(env)
+    if find_spec("stable_baselines3") is not None:  # the core does without
+        import_module("stable_baselines3.common.env_checker").check_env(env)
     if case.wrappers == "bare":
         check_env(env.unwrapped, skip_render_check=True)
         return

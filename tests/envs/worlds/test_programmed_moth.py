@@ -79,15 +79,10 @@ def test_bad_programmes_are_refused() -> None:
         refuses(says, replace, QUIET, **change)
 
 
-def numbers(programme: MothProgramme) -> list[float]:
-    """In the order of the bounds."""
-    turns = dict(zip(("turn 1", "turn 2", "turn 3"), programme.turns, strict=True))
-    return [turns.get(name) or getattr(programme, name) for name in moth_fit.BOUNDS]
-
-
 def within_bounds(programme: MothProgramme) -> bool:
     low, high = np.array(list(moth_fit.BOUNDS.values())).T
-    found = np.array(numbers(programme))
+    turns = dict(zip(("turn 1", "turn 2", "turn 3"), programme.turns, strict=True))
+    found = np.array([turns.get(name) or getattr(programme, name) for name in moth_fit.BOUNDS])
     return bool((found >= low * 0.99).all() and (found <= high * 1.01).all())
 
 

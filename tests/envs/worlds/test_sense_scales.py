@@ -67,12 +67,6 @@ def names_of(species: Species) -> list[str]:
     return [one.name for one in observation_components(species)]
 
 
-def elsewhere(names: list[str], change: dict[str, Any]) -> Array:
-    """Which inputs are the same wherever the edge is."""
-    of_edge = (*OF_THE_FIELD, *OF_THE_WALL) if "arena" in change else ()
-    return np.array([not any(part in name for part in of_edge) for name in names])
-
-
 @pytest.mark.parametrize("name", SPECIES)
 def test_the_same_places_and_velocities_give_the_same_inputs_in_every_changed_world(
     name: str,
@@ -81,7 +75,8 @@ def test_the_same_places_and_velocities_give_the_same_inputs_in_every_changed_wo
     before, recorded = replayed(species), demonstration_observations(species, few(species))
     for change in changes(species):
         changed = change_world(species, **change)
-        same = elsewhere(names_of(species), change)
+        of_edge = (*OF_THE_FIELD, *OF_THE_WALL) if "arena" in change else ()
+        same = np.array([not any(part in one for part in of_edge) for one in names_of(species)])
         assert same.mean() > 0.7
         np.testing.assert_array_equal(replayed(changed)[..., same], before[..., same], str(change))
         again = demonstration_observations(changed, few(species))

@@ -29,16 +29,11 @@ from animarl_envs.worlds.base import World
 
 Array = NDArray[Any]
 CHASES: list[tuple[str, dict[str, Any]]] = [
-    ("agent", {}),
-    ("fly", {}),
-    ("newt", {}),
-    ("fly", {"num_pursuers": 1}),
-    ("agent", {"demos": None, "num_pursuers": 4}),
-    ("agent", {"demos": None, "arena": "open"}),
-    ("agent", {"demos": None, "num_targets": 3}),
-    ("custom", {"demos": dogs(2)}),
+    ("agent", {}), ("fly", {}), ("newt", {}), ("fly", {"num_pursuers": 1}),
+    ("agent", {"demos": None, "num_pursuers": 4}), ("agent", {"demos": None, "arena": "open"}),
+    ("agent", {"demos": None, "num_targets": 3}), ("custom", {"demos": dogs(2)}),
     ("newt", {"senses_past": True, "senses_time": True, "senses_course": True}),
-]
+]  # fmt: skip
 MOTHS: list[tuple[str, dict[str, Any]]] = [
     ("silkmoth", {}),
     ("silkmoth", {"demos": None, "turning": RECORDED_TURNING}),
