@@ -15,15 +15,8 @@ import time
 from pathlib import Path
 from statistics import mean
 
-from animarl_algos.benchmark.pieces import (
-    Done,
-    Piece,
-    Watch,
-    Workers,
-    attempt,
-    perform_all,
-    write_json,
-)
+from animarl_algos.benchmark.pieces import Done, Piece, Watch, Workers, attempt, perform_all
+from animarl_algos.runs.run_files import write_json
 
 PROCESSES, FEW = 2, 10
 

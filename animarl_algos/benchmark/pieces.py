@@ -42,12 +42,11 @@ from animarl_algos.losses.terms import OfflineLoss
 from animarl_algos.recipes.registry import SoftBC, named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
-from animarl_algos.runs.run_files import versions
+from animarl_algos.runs.run_files import versions, write_json
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.compiling import source_key
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 from animarl_envs.worlds import make_world
 
 COMMAND = "animarl benchmark"
@@ -331,7 +330,7 @@ class Scoring(Piece):
             else crossed_score(made, first.method, resamples=self.resamples)
         )
         labels = {"data": self.data, "kind": first.kind}
-        write_json(self.folder(out) / self.RESULT, found.to_json() | labels, allow_nan=True)
+        write_json(self.folder(out) / self.RESULT, found.to_json() | labels)
 
     def result(self, out: Path) -> Score:
         return Score.from_json(json.loads((self.folder(out) / self.RESULT).read_text()))
@@ -371,23 +370,14 @@ def _resolved(settings: RunSettings) -> dict[str, Any]:
 
 
 def _hashed(determining: Mapping[str, Any]) -> str:
-    """A key of 16 hexadecimal digits, of the code too."""
-    text = json.dumps({**determining, **code()}, sort_keys=True, default=str)
+    """A key of 16 hexadecimal digits, of the versions and the kernels' sources too."""
+    code = {"versions": versions(), "kernels": source_key("animarl_algos")}
+    text = json.dumps({**determining, **code}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def code() -> dict[str, Any]:
-    """Return what decides a result besides settings and recordings: versions, kernels' sources."""
-    return {"versions": versions(), "kernels": source_key("animarl_algos")}
 
 
 def _world_name(data: str, fold: int | None) -> str:
     return f"{data}/world" if fold is None else f"{data}/world/fold{fold}"
-
-
-def write_json(path: Path, content: Any, *, allow_nan: bool = False) -> None:
-    with write_then_rename(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=allow_nan) + "\n")
 
 
 def attempt(piece: Piece, out: Path) -> Done | None:

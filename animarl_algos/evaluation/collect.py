@@ -24,15 +24,13 @@ Cue = Literal["actual", "flipped", 0, 1]
 
 
 class Policy(Protocol):
-    """What acts: anything with stable-baselines3's ``predict``, a state per slot included."""
+    """What acts: anything with stable-baselines3's ``predict``, a state per slot included.
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]: ...
+    It is asked by ``observation, state, episode_start, deterministic``.
+    """
+
+    @property
+    def predict(self) -> Callable[..., tuple[Any, Any]]: ...
 
 
 class MemorylessPolicy(ABC):
@@ -42,13 +40,7 @@ class MemorylessPolicy(ABC):
     def act(self, observation: Any) -> NDArray[np.int64]:
         """Return one action per slot."""
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, Any]:
         """Return :meth:`act`'s actions, and the state as it is."""
         return self.act(observation), state
 

@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from animarl_algos.evaluation.order_in_time import MEASURES, lags_for, median_steps, seconds_of
-from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared
+from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared, ending
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -177,7 +177,7 @@ def _of_verdict(
 
 def _ended(key: str, label: str, end: int, much: str, little: str) -> Metric:
     return _of_verdict(
-        key, label, "share", lambda e: (e.ending == end).astype(float), much, little,
+        key, label, "share", lambda e: (ending(e.rollouts) == end).astype(float), much, little,
         share=True, is_ending=True, about=GOAL,
     )  # fmt: skip
 

@@ -19,21 +19,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE, Tracked, followed, judges
 from animarl_algos.evaluation.metrics import measures
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
-    Floats,
-    Interval,
-    Ints,
-    bootstrap_mean,
-    energy_scores,
-    interval,
-    single_cells,
-)
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints, interval
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
     CONTROLS,
@@ -250,8 +242,15 @@ def verdict(
     )
     words, untrained = _overall(rows), baselines.get("untrained")
     if untrained is not None and words != (SAME,):
-        farther = _farther(prepared, counted, prepared.counted(untrained), streams[3])
-        words = (WORSE, *words) if farther else words
+        # By the energy score of the summary; the interval over starts must exclude no difference.
+        true = summary_table(prepared, prepared.recorded)
+        ours, other = (
+            statistics.energy_scores(summary_table(prepared, one), one.demo, true)
+            for one in (counted, prepared.counted(untrained))
+        )
+        apart = statistics.single_cells((ours - other)[None])
+        if statistics.bootstrap_mean(apart, streams[3]).low > 0:
+            words = (WORSE, *words)
     table = pd.DataFrame(rows)
     starts = np.unique(counted.demo)
     numbers = {"test start": len(starts), "recording": len(np.unique(recorded.recording[starts]))}
@@ -289,19 +288,6 @@ def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
     """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
     true, found = (measures(prepared, side) for side in (prepared.recorded, rollouts))
     return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
-
-
-def _farther(prepared: Prepared, ours: Rollouts, other: Rollouts, rng: np.random.Generator) -> bool:
-    """Whether our rollouts are farther from the recordings than others from the same starts.
-
-    By the energy score of the summary; the 95 % interval of the difference over starts must
-    exclude none.
-    """
-    recorded = summary_table(prepared, prepared.recorded)
-    scores = [
-        energy_scores(summary_table(prepared, one), one.demo, recorded) for one in (ours, other)
-    ]
-    return bootstrap_mean(single_cells(np.subtract(*scores)[None]), rng).low > 0
 
 
 def implausible(verdict: Verdict) -> list[str]:

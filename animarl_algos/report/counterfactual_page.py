@@ -62,7 +62,7 @@ class CounterfactualInputs(PageInputs):
 def counterfactual_page(inputs: CounterfactualInputs) -> page.Page:
     """Return the page: what is claimed and the player, then shifts and how it was made."""
     names = list(map(method_label, inputs.asked))
-    said = [page.Sentences(list(findings(inputs))), page.Sentences(list(cautions(inputs)))]
+    said = [page.Text([*some], "sentences") for some in (findings(inputs), cautions(inputs))]
     seeds = [
         (method_label(name), f"seeds {', '.join(map(str, some))}")
         for name, some in inputs.seeds.items()
@@ -79,7 +79,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> page.Page:
         ],
         player=_player(inputs),
         sections=[
-            page.Section("findings", "In short", [block for block in said if block.sentences]),
+            page.Section("findings", "In short", [block for block in said if block.text]),
             page.Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
             page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
         ],
@@ -240,10 +240,5 @@ def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:
             of = {RECORDED: prepared.recorded, FACTUAL: trained.factual, FLIPPED: trained.flipped}
             if inputs.teams is not None:
                 of[TEAM] = inputs.teams[1 - condition]
-            tracks = {
-                kind: player.track(
-                    some, int(np.flatnonzero(some.demo == start)[0])
-                )  # its first rollout
-                for kind, some in of.items()
-            }
-            yield player.Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
+            first = {k: (some, int(np.argmax(some.demo == start))) for k, some in of.items()}
+            yield f"Start {start}, {inputs.condition(condition)}", first

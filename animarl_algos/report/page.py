@@ -41,24 +41,10 @@ FORMATS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph or, by its kind, a heading, a sentence of a list, or text to copy."""
+    """A paragraph or, by its kind, a heading, a command to copy, or a list of sentences."""
 
-    text: str
+    text: str | Sequence[str]
     kind: str = "text"
-
-    @classmethod
-    def heading(cls, text: str) -> Text:
-        return cls(text, "heading")
-
-    @classmethod
-    def command(cls, text: str) -> Text:
-        return cls(text, "command")
-
-
-@dataclass(frozen=True)
-class Sentences:
-    kind: ClassVar[str] = "sentences"
-    sentences: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -99,7 +85,7 @@ class Pairs:
     entries: Sequence[tuple[str, str]]
 
 
-Block = Text | Sentences | Gallery | Table | Pairs
+Block = Text | Gallery | Table | Pairs
 
 
 def tabulate(

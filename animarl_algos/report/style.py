@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_envs.drawing.palette import RGB, to_hex
 
 if TYPE_CHECKING:
@@ -136,10 +135,6 @@ def method_label(name: str) -> str:
     """Return how figures and tables write a method: recipes in capitals, the rest as given."""
     plain = ("recorded", "random", "untrained")
     return name if name.casefold() in plain or not name.islower() else name.upper()
-
-
-def is_recorded(name: str) -> bool:
-    return name.casefold() == RECORDED
 
 
 @dataclass(frozen=True)

@@ -180,13 +180,7 @@ class WatchedPolicy:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.policy, name)
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
+    def predict(self, observation: Any, *more: Any, **known: Any) -> tuple[Any, Any]:
         """Ask the policy, and remember which inputs were beyond their range."""
         self.finish()
         individuals, components = self.inputs.low.shape
@@ -194,7 +188,7 @@ class WatchedPolicy:
         sides = (seen < self.inputs.low, seen > self.inputs.high)
         self._pending = np.concatenate(sides, axis=2)
         self._alive = np.ones(self._pending.shape[:2], dtype=bool)
-        return self.policy.predict(observation, state, episode_start, deterministic)
+        return self.policy.predict(observation, *more, **known)
 
     def leave_out(self, state: Any, ended: NDArray[np.bool_]) -> Any:
         """Do not count the slots of episodes that have ended."""
