@@ -34,7 +34,7 @@ from animarl_algos.evaluation.prepared import Prepared, censored, comparison_smo
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
-from animarl_algos.evaluation.verdict import summary_table, verdict
+from animarl_algos.evaluation.verdict import SUMMARY, summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
 from animarl_envs.checks import printable
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -59,7 +59,7 @@ ROUNDING = 1e-9
 
 def differences() -> list[Metric]:
     """Return the metrics whose difference to the recordings stands on the board."""
-    return [one for one in METRICS if one.judged and one.of_recordings and one.on_board]
+    return [one for one in METRICS if one.of_recordings and (one.compared or one.key in SUMMARY)]
 
 
 def labels() -> dict[str, str]:

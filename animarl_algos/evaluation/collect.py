@@ -56,7 +56,17 @@ class RandomPolicy(MemorylessPolicy):
         return self._rng.integers(self._num_actions, size=len(observation))
 
 
-class Blindfolded:
+class WrappedPolicy:
+    """A policy that does what the one within does, but for what a subclass changes."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.policy, name)
+
+
+class Blindfolded(WrappedPolicy):
     """A policy shown, in the place of each animal's neighbours, those of another animal.
 
     What it is shown moves as neighbours do, and has nothing to do with the animal: whoever reacts
@@ -64,19 +74,15 @@ class Blindfolded:
     several copies, of another episode.
     """
 
-    def __init__(self, policy: Any, names: Sequence[str]) -> None:
-        self._policy = policy
+    def __init__(self, policy: Policy, names: Sequence[str]) -> None:
+        super().__init__(policy)
         self._seen = np.array([name.startswith("other ") for name in names])
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._policy, name)
 
     def predict(self, observation: NDArray[Any], *more: Any, **known: Any) -> tuple[Any, Any]:
         """Return the policy's actions and state."""
         shown, seen = observation.copy(), np.flatnonzero(self._seen)
         shown[:, seen] = np.roll(observation[:, seen], len(observation) // 2 + 1, axis=0)
-        actions, state = self._policy.predict(shown, *more, **known)
-        return actions, state
+        return self.policy.predict(shown, *more, **known)
 
 
 def collect_rollouts(

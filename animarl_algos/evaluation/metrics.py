@@ -50,9 +50,9 @@ class Metric:
         Planned pairs of methods have a gate by it.
     caption, heading
         Of its figure in the report, and of its column in the terminal; not shown there without.
-    compared, judged, on_board
-        Where it is shown: in the table of episodes and the comparison, in the verdict, and on the
-        leaderboard.
+    compared
+        Whether it is in the table of episodes, in the comparison and on the leaderboard, beside the
+        verdict.
     is_ending
         Of how an episode ended: no row in the verdict where neither side knows it.
     about
@@ -78,8 +78,6 @@ class Metric:
     caption: str = ""
     heading: str = ""
     compared: bool = True
-    judged: bool = True
-    on_board: bool = True
     is_ending: bool = False
     about: str = ""
     of_order: str = ""
@@ -171,7 +169,7 @@ def _of_verdict(
     """A metric that the verdict judges and the comparison of methods leaves out."""
     return Metric(
         key=key, label=label, unit=unit, measure=measure, too_much=much, too_little=little,
-        compared=False, on_board=key == "mean_speed", **more,
+        compared=False, **more,
     )  # fmt: skip
 
 
@@ -238,7 +236,7 @@ def judged_metrics(recorded: Episodes) -> list[Metric]:
     """
     chosen = []
     for metric in _of_kind(recorded):
-        if not (metric.judged and metric.of_recordings):
+        if not metric.of_recordings:
             continue
         if metric.of_order.endswith((" in", " at")):
             for lag in lags_for(median_steps(recorded), recorded.dt):
