@@ -102,66 +102,6 @@ class Metric:
         return self.of_recordings and not self.share
 
 
-TARGET_REACHED = Metric(
-    key="reached",
-    label="Target reached",
-    unit="share",
-    measure=lambda episodes: episodes.rollouts.captured.astype(float),
-    share=True,
-    is_ending=True,
-    about=GOAL,
-    too_much="reaches the target too often",
-    too_little="reaches the target too rarely",
-    caption="Share of episodes in which a pursuer reached the target (the moth the source), all "
-    "episodes.",
-    heading="target\nreached, %",
-)
-PATH_LENGTH = Metric(
-    key="path_length",
-    label="Path length",
-    unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.path_length,
-    planned=True,
-    too_much="paths too long",
-    too_little="paths too short",
-    noun="path lengths",
-    caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, and "
-    "captures only.",
-    heading="path length",
-)
-DURATION = Metric(
-    key="duration",
-    label="Duration",
-    unit="s",
-    measure=lambda episodes: episodes.duration,
-    planned=True,
-    too_much="episodes too long",
-    too_little="episodes too short",
-    noun="durations",
-    caption="Duration per episode: all episodes, and captures only.",
-    heading="duration, s",
-)
-DTW_PER_STEP = Metric(
-    key="dtw_per_step",
-    label="DTW distance per step",
-    unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.dtw[1],
-    of_recordings=False,
-)
-DTW = Metric(
-    key="dtw",
-    label="DTW distance",
-    unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.dtw[0],
-    of_recordings=False,
-    planned=True,
-    caption="Distance of each rollout to the demonstration that it started from after the best "
-    "alignment in time (dynamic time warping, DTW), mean over the "
-    "pursuers (or the moth's), summed along the warping path: all episodes, and captures only.",
-    heading="DTW distance",
-)
-
-
 def _of_verdict(
     key: str, label: str, unit: str, measure: Measure, much: str, little: str,
     **more: Any,
@@ -194,11 +134,27 @@ def _order_of(name: str) -> Measure:
 
 
 METRICS = [
-    TARGET_REACHED,
-    PATH_LENGTH,
-    DURATION,
-    DTW,
-    DTW_PER_STEP,
+    Metric(key="reached", label="Target reached", unit="share", share=True, is_ending=True,
+           measure=lambda e: e.rollouts.captured.astype(float), about=GOAL,
+           too_much="reaches the target too often", too_little="reaches the target too rarely",
+           heading="target\nreached, %",
+           caption="Share of episodes in which a pursuer reached the target (the moth the source), "
+                   "all episodes."),
+    Metric(key="path_length", label="Path length", unit=ARENA_UNITS, planned=True,
+           measure=lambda e: e.path_length, noun="path lengths", heading="path length",
+           too_much="paths too long", too_little="paths too short",
+           caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, "
+                   "and captures only."),
+    Metric(key="duration", label="Duration", unit="s", measure=lambda e: e.duration, planned=True,
+           too_much="episodes too long", too_little="episodes too short", noun="durations",
+           heading="duration, s", caption="Duration per episode: all episodes, and captures only."),
+    Metric(key="dtw", label="DTW distance", unit=ARENA_UNITS, of_recordings=False, planned=True,
+           measure=lambda e: e.dtw[0], heading="DTW distance",
+           caption="Distance of each rollout to the demonstration that it started from after the "
+                   "best alignment in time (dynamic time warping, DTW), mean over the pursuers (or "
+                   "the moth's), summed along the warping path: all episodes, and captures only."),
+    Metric(key="dtw_per_step", label="DTW distance per step", unit=ARENA_UNITS,
+           measure=lambda e: e.dtw[1], of_recordings=False),
     _ended("target_out", "Ended by the target leaving", TARGET_OUT,
            "the target leaves too often", "the target leaves too rarely"),
     _ended("pursuer_out", "Ended by a pursuer leaving", PURSUER_OUT,
@@ -227,6 +183,7 @@ METRICS = [
     _of_order("rests", "length of rests", ANIMAL),
 ]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
+TARGET_REACHED, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP = METRICS[:5]
 
 
 def judged_metrics(recorded: Episodes) -> list[Metric]:

@@ -403,9 +403,6 @@ def _bouts(moving: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
 
 def _longest(true: NDArray[np.bool_]) -> Floats:
     """Length of the longest uninterrupted stretch of each column [steps]."""
-    current = np.zeros(true.shape[::2])
-    longest = np.zeros_like(current)
-    for step in range(true.shape[1]):
-        current = np.where(true[:, step], current + 1, 0.0)
-        np.maximum(longest, current, out=longest)
-    return longest
+    count = true.cumsum(axis=1)
+    before = np.maximum.accumulate(np.where(true, 0, count), axis=1)
+    return np.asarray((count - before).max(axis=1, initial=0), dtype=np.float64)

@@ -227,14 +227,9 @@ def resting_step(recorded: Rollouts) -> Floats:
 
 def tracking_noise(recorded: Rollouts) -> float:
     """Standard deviation of white noise of the recorded positions, per axis [arena unit]."""
-    products = []
-    for index in range(len(recorded)):
-        bend = np.diff(recorded.path(index), n=2, axis=0)
-        if len(bend) > 1:
-            products.append((bend[1:] * bend[:-1]).ravel())
-    if not products:
-        return 0.0
-    return float(np.sqrt(max(0.0, -np.concatenate(products).mean() / 4.0)))
+    bends = [np.diff(recorded.path(index), n=2, axis=0) for index in range(len(recorded))]
+    products = np.concatenate([(bend[1:] * bend[:-1]).ravel() for bend in bends])
+    return float(np.sqrt(max(0.0, -products.mean() / 4.0))) if len(products) else 0.0
 
 
 def slow_speeds(recorded: Rollouts) -> Floats:
