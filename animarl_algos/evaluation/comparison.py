@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import statistics
-from animarl_algos.evaluation.classifier import Tracked
 from animarl_algos.evaluation.metrics import (
     METRICS,
     TARGET_REACHED,
@@ -32,6 +31,7 @@ from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.tracking import Tracking
 
 TABLES = ("metrics", "comparison", "pairs")
 NUMBERS = ("fingerprint", "seed", "resamples")
@@ -289,7 +289,7 @@ def evaluate(
     *,
     seed: int,
     learner: str | None = None,
-    floor: Tracked | None = None,
+    floor: Tracking | None = None,
     references: Demonstrations | None = None,
     resamples: int = RESAMPLES,
 ) -> Evaluation:

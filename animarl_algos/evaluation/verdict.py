@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import statistics
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE, Tracked, followed, judges
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE, followed, judges
 from animarl_algos.evaluation.metrics import measures
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.realism import REFERENCES, realism
@@ -40,6 +40,7 @@ from animarl_algos.evaluation.verdict_rows import (
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.tracking import Tracking
 
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
@@ -72,7 +73,7 @@ class Verdict:
         Frames of the moving average that both sides went through.
     areas
         By judge and name the areas that theirs are read beside
-        (:class:`~animarl_algos.evaluation.classifier.Judged`).
+        (:class:`~animarl_algos.evaluation.classifier.Telling`).
     components
         The realism score, see :func:`~animarl_algos.evaluation.realism.realism`.
     importance
@@ -194,7 +195,7 @@ def verdict(
     rollouts: Rollouts,
     *,
     seed: int,
-    floor: Tracked | None = None,
+    floor: Tracking | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
 ) -> Verdict:
@@ -233,7 +234,7 @@ def verdict(
     sides |= {} if floor is None else {"floor": followed(recorded, floor)}
     beside = {name: prepared.filtered(one) for name, one in sides.items()}
     asked = [*judges(prepared, counted, beside, references, unit, (*streams[1:3], streams[4]))]
-    rows += [judge.row for judge in asked]
+    rows += [row for row, _ in asked]
     others = None
     if references is not None:
         others = prepared.filtered(Rollouts.from_demonstrations(references))
@@ -263,9 +264,9 @@ def verdict(
         rollouts=int(np.count_nonzero(~counted.copies)),
         too_little=f"{few[0]}, and {FEWEST} are needed" if few else "",
         smoothing=prepared.smoothing,
-        areas={judge.row.measure: dict(judge.areas) for judge in asked},
+        areas={row.measure: dict(found.areas) for row, found in asked},
         components=components,
-        importance=asked[0].importance,
+        importance=asked[0][1].importance,
     )
 
 
