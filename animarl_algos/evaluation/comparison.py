@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations as ordered_pairs
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,22 +42,15 @@ PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQ
 GATE_LEVEL = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class _Measure:
+class _Measure(NamedTuple):
     """A metric, or its energy score, of every method by seed and start."""
 
     metric: Metric
+    key: str
     counting: str
     data: Mapping[str, Cells]
+    share: bool = False
     truth: Floats | None = None  # recorded values, of an energy score
-
-    @property
-    def key(self) -> str:
-        return self.metric.key if self.truth is None else ENERGY + self.metric.key
-
-    @property
-    def share(self) -> bool:
-        return self.metric.share and self.truth is None
 
 
 def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
@@ -79,14 +72,14 @@ def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
                 if metric.of_recordings or name != RECORDED
             }
             data = {name: statistics.cells(*each, num_demos) for name, each in values.items()}
-            yield _Measure(metric, rule, data)
+            yield _Measure(metric, metric.key, rule, data, metric.share)
             if metric.has_distribution and RECORDED in data:
                 truth = data[RECORDED].cell_means[0]
                 del values[RECORDED]
                 scores = {
                     name: statistics.energy_cells(*each, truth) for name, each in values.items()
                 }
-                yield _Measure(metric, rule, scores, truth)
+                yield _Measure(metric, ENERGY + metric.key, rule, scores, truth=truth)
 
 
 def comparison_table(

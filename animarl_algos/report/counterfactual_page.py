@@ -220,8 +220,9 @@ def _player(inputs: CounterfactualInputs) -> page.Player:
         views.append(player.view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
     views.append(player.view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
     scenes = list(_scenes(inputs))
-    chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
-    return player.play(inputs, scenes, views, player.of_starts(len(scenes), chosen))
+    said = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}."
+    said = f"{len(scenes)} test starts, all different, {said}"
+    return player.play(inputs, scenes, views, said)
 
 
 def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:

@@ -27,6 +27,11 @@ SCRIPTS = (
     "themes.js", "tables.js", "downloads.js", "paths.js", "stage.js", "player.js", "start.js",
 )  # fmt: skip
 """In this order, inside one function: a later one uses what an earlier one defines."""
+POLICY = (
+    "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
+    "img-src data: blob:"
+)
+"""What the browser lets the page do: run its script and load nothing."""
 PAGE_FILE, FIGURES = "report.html", "figures"
 LONGEST_NAME = 60  # of a figure's file
 FORMATS: dict[str, dict[str, Any]] = {
@@ -174,13 +179,16 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        program = script()
+        parts = [(TEMPLATES / name).read_text(encoding="utf-8").strip() for name in SCRIPTS]
+        # One function, so that no name is left behind; the browser lets the page run it alone.
+        program = "\n".join(["(() => {", '"use strict";', *parts, "})();"])
+        digest = base64.b64encode(hashlib.sha256(f"\n{program}\n".encode()).digest()).decode()
         return environment.get_template("page.html.j2").render(
             page=self,
             colours=[(c.name, to_hex(c.light), to_hex(c.dark)) for c in COLOURS],
             player_data=None if self.player is None else as_data(self.player.data),
             script=program,
-            policy=policy(program),
+            policy=POLICY.format(digest=digest),
         )
 
     def write(self, folder: Path) -> None:
@@ -210,21 +218,6 @@ def write_page(page: Page, path: Path) -> Path:
     with write_then_rename(path) as part:
         part.write_text(html, encoding="utf-8")
     return path
-
-
-def script() -> str:
-    """Return all scripts as one function, so that they leave no name behind."""
-    parts = [(TEMPLATES / name).read_text(encoding="utf-8").strip() for name in SCRIPTS]
-    return "\n".join(["(() => {", '"use strict";', *parts, "})();"])
-
-
-def policy(program: str) -> str:
-    """Return what the browser lets the page do: run this script and load nothing."""
-    digest = base64.b64encode(hashlib.sha256(f"\n{program}\n".encode()).digest()).decode()
-    return (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
-        "img-src data: blob:"
-    )
 
 
 def as_data(value: Any) -> str:

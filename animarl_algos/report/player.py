@@ -44,8 +44,8 @@ def run_player(inputs: ReportInputs) -> Player:
             scenes.append((title, {RECORDED: (demos, start), SIMULATED: (rollouts, i)}))
     learner = method_label(inputs.learner)
     views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
-    chosen_by = "from rollouts near their recording to far from it (DTW distance)"
-    return play(inputs, scenes, views, of_starts(len(scenes), chosen_by))
+    said = "from rollouts near their recording to far from it (DTW distance)."
+    return play(inputs, scenes, views, f"{len(scenes)} test starts, all different, {said}")
 
 
 def play(
@@ -132,11 +132,6 @@ def _packed(
             for kind, (made, i) in tracks.items()
         },
     }
-
-
-def of_starts(count: int, chosen: str) -> str:
-    """Return what is said of so many scenes, and how they were chosen."""
-    return f"{count} test starts, all different, {chosen}."
 
 
 def at_ranks(values: ArrayLike, starts: ArrayLike, quantiles: Sequence[float]) -> NDArray[np.int64]:

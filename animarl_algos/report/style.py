@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from html import escape
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 from animarl_envs.drawing.palette import RGB, to_hex
@@ -148,13 +149,10 @@ class Look:
 
 def looks(roles: Sequence[str]) -> list[Look]:
     """Pursuers in hues, the target near-black and solid."""
-    out = []
-    for i, role in enumerate(roles):
-        hue = TARGET if role == "target" else PURSUERS[i % len(PURSUERS)]
-        dashes = DASHES[0] if role == "target" else DASHES[i % len(DASHES)]
-        marker = "X" if role == "target" else MARKERS[i % len(MARKERS)]
-        out.append(Look(hue.hex, dashes, marker))
-    return out
+    return [
+        Look(TARGET.hex, DASHES[0], "X") if role == "target" else Look(hue.hex, dashes, marker)
+        for role, hue, dashes, marker in zip(roles, cycle(PURSUERS), cycle(DASHES), cycle(MARKERS))
+    ]
 
 
 def figure_style() -> AbstractContextManager[None]:
