@@ -167,11 +167,6 @@ class EpisodeMeasures:
         """Return the measure of that name of every episode, ``(episodes,)``."""
         return np.asarray(self.values[:, self.names.index(name)])
 
-    def mean(self, name: str) -> Floats:
-        """Means over episodes of those measures whose name begins so."""
-        chosen = [one.startswith(name) for one in self.names]
-        return _mean(self.values[:, chosen], axis=0)
-
 
 def lags_for(steps: float, dt: float) -> tuple[int, ...]:
     """Return the lags [steps] at which episodes of so many steps can be looked at."""
