@@ -91,9 +91,7 @@ def scaled(value: Interval, factor: float) -> Interval:
 def pick(table: pd.DataFrame, **values: Any) -> Any | None:
     """Return the first row of a table that has these values; None if there is none."""
     for key, value in values.items():
-        if table.empty:
-            return None
-        table = table[table[key] == value]
+        table = table if table.empty else table[table[key] == value]
     return None if table.empty else table.iloc[0]
 
 
