@@ -195,7 +195,6 @@ class Page:
         """Write the page as ``report.html``, and every figure of it into ``figures``."""
         write_page(self, folder / PAGE_FILE)
         for name, image in self.figures():
-            assert image.figure is not None  # of a page that was just drawn
             image.figure.set_layout_engine(None)  # placed when the page drew it
             for suffix, options in FORMATS.items():
                 file = folder / FIGURES / f"{name}.{suffix}"

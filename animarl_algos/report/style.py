@@ -12,7 +12,7 @@ import io
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
@@ -172,15 +172,11 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> 
 
 @dataclass(frozen=True)
 class Image:
-    """A figure for a web page: a drawing that stands in it, its natural width, and its words.
-
-    ``figure`` is what it was drawn from, to write it in other formats.
-    """
+    """A figure for a web page: a drawing to stand in it, its words, and what it was drawn from."""
 
     drawing: str  # an svg element, its colours variables of the page's style sheet
-    width: int  # [CSS px]
     alt: str
-    figure: Figure | None = field(default=None, compare=False, repr=False)
+    figure: Figure
 
 
 def to_image(figure: Figure, alt: str) -> Image:
@@ -204,7 +200,7 @@ def to_image(figure: Figure, alt: str) -> Image:
         'style="stroke-linejoin: round; stroke-linecap: butt">'
     )
     body = drawing[drawing.index(">") + 1 :].strip()
-    return Image(themed(opening + body), width, alt, figure)
+    return Image(themed(opening + body), alt, figure)
 
 
 def _with_own_ids(drawing: str) -> str:
