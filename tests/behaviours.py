@@ -88,12 +88,10 @@ FAITHFUL: dict[str, Course] = {
 }
 """From best to worst."""
 UNFAITHFUL: dict[str, Course] = {
-    "at the focus": Course(same(0)),
-    "coasting": Course(same(COAST)),
-    "outwards": Course(outwards),
+    "at the focus": Course(same(0)), "coasting": Course(same(COAST)), "outwards": Course(outwards),
     "ended after 1 step": Course(tracking, ends_after=1),
     "... 10 steps": Course(tracking, ends_after=10),
-}
+}  # fmt: skip
 """None of which may earn as much as the worst faithful one."""
 
 

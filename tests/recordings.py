@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstrations
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.scenario import make_scenario
+from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES, ChaseSpecies
-from animarl_envs.worlds.chase.world import ChaseWorld
+from animarl_envs.worlds import make_world
 from tools.packaged_data import demonstrations_of
 
 CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
@@ -47,6 +47,14 @@ def episodes_along(paths: Sequence[NDArray[np.float64]], **more: Any) -> Demonst
     return Demonstrations(**given | more)
 
 
+def begun(scenario: Scenario, copies: int = 1, first: int = 0) -> Any:
+    """A world at the start of its first episodes, its copies seeded from ``first`` on."""
+    world = make_world(scenario, copies)
+    world.seed(first + np.arange(copies))
+    world.reset()
+    return world
+
+
 def scripted_chase(
     species: ChaseSpecies, lengths: NDArray[np.int64], **what: Any
 ) -> Demonstrations:
@@ -54,21 +62,17 @@ def scripted_chase(
     lone = replace(species, contact_radius=1e-6)
     drivers = dict.fromkeys(species.individuals, "scripted")
     episodes = len(lengths)
-    world = ChaseWorld(make_scenario(lone, demos=None, drivers=drivers), episodes)
-    world.seed(np.arange(episodes))
-    world.reset()
+    world = begun(make_scenario(lone, demos=None, drivers=drivers), episodes)
     path = [world.position.copy()]
     for _ in range(lengths.max() - 1):
         world.step(np.zeros((episodes, species.num_individuals), dtype=int))
         path.append(world.position.copy())
     positions = np.stack(path)
     several = {
-        "condition": np.zeros(episodes),
-        "outcome": np.full(episodes, UNFINISHED),
+        "condition": np.zeros(episodes), "outcome": np.full(episodes, UNFINISHED),
         "split": np.resize(SPLITS, episodes),
-        "recording": np.array([f"field {e}" for e in range(episodes)]),
-        "provenance": SYNTHETIC,
-    }
+        "recording": np.array([f"field {e}" for e in range(episodes)]), "provenance": SYNTHETIC,
+    }  # fmt: skip
     paths = [positions[:n, e] for e, n in enumerate(lengths)]
     return demonstrations_of(species, paths, {}, **several | what)
 
@@ -110,12 +114,10 @@ def recordings_of(name: str) -> Demonstrations:
     rng = np.random.default_rng(0)
     patterns = [0, 1, 2, 0, 3, 4]
     signals = {
-        "odour_left": rng.random(240) < 0.3,
-        "odour_right": rng.random(240) < 0.3,
-        "heading": np.full(240, np.pi),
-        "plume": np.repeat(patterns, 40),
+        "odour_left": rng.random(240) < 0.3, "odour_right": rng.random(240) < 0.3,
+        "heading": np.full(240, np.pi), "plume": np.repeat(patterns, 40),
         "plume_step": np.concatenate([np.arange(40) + 7 * e for e in range(6)]),
-    }
+    }  # fmt: skip
     walks = _walks(name, *species.individuals, species.dt, 6, SILKMOTH.arena.size)
     return replace(walks, condition=condition, signals=signals)
 

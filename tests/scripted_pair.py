@@ -75,12 +75,11 @@ class ScriptedPair(toys.Toy):
         task = self.rng.normal(size=pair).astype(np.float32)
         penalty = self.rng.random(pair).astype(np.float32)
         self.extras = {
-            "task_reward": task.ravel(),
-            "dtw_penalty": penalty.ravel(),
+            "task_reward": task.ravel(), "dtw_penalty": penalty.ravel(),
             "aligned_action": np.maximum(self.rng.integers(-2, 3, size=pair), -1).ravel(),
             "condition": np.repeat(self.condition, 2),
             "warmup": np.repeat(self.step_count <= self.WARMUP, 2),
-        }
+        }  # fmt: skip
         self.noise[:] = self.rng.normal(size=self.noise.shape)
         return task - penalty, self.step_count >= self.end
 
@@ -102,8 +101,7 @@ class ScriptedPair(toys.Toy):
         extras = self.extras
         self.log.append(
             Step(
-                observations=before.reshape(*pair, -1),
-                actions=self._actions.copy(),
+                observations=before.reshape(*pair, -1), actions=self._actions.copy(),
                 successors=successors.reshape(*pair, -1),
                 rewards=extras["task_reward"].reshape(pair),
                 penalties=extras["dtw_penalty"].reshape(pair),
@@ -113,7 +111,7 @@ class ScriptedPair(toys.Toy):
                 terminated=(dones & ~truncated).reshape(pair)[:, 0],
                 truncated=truncated.reshape(pair)[:, 0],
             )
-        )
+        )  # fmt: skip
         return after, rewards, dones, infos
 
 

@@ -132,12 +132,15 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     scores = verdict.components
     if scores is None or scores.empty:
         return
-    columns: dict[str, Any] = {
+
+    def beside(reference: str) -> Any:
+        return lambda row: number(row[reference]) if reference in row else NOTHING
+
+    columns = {
         "Weight": lambda row: number(row["weight"], 2),
         "Score\n[95 %]": lambda row: with_interval(interval(row)),
+        **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
     }
-    for one in REFERENCES:
-        columns[words.say(one).capitalize()] = lambda row, one=one: number(row.get(one, math.nan))
     whole = scores["component"].fillna("") == ""
     yield tabulate(
         "Realism",

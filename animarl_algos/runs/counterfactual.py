@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,12 +37,19 @@ TEAM_SEED = 0
 BLIND = "flag zeroed"
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CounterfactualRuns(CounterfactualInputs):
+    """What the runs answered, and what comes of it."""
+
+    runs: RunSet
+
+
 def ask_runs(
     folders: Sequence[str | Path],
     *,
     truth: Path | None = None,
     repetitions: int | None = None,
-) -> CounterfactualInputs:
+) -> CounterfactualRuns:
     """Ask trained runs about the other condition from every test start.
 
     Parameters
@@ -72,7 +79,8 @@ def ask_runs(
     teams = _teams(runs, test, truth, repetitions or runs.first.settings.repetitions)
     more = [] if truth is None else ["--truth", str(truth)]
     more += [] if repetitions is None else ["--repetitions", str(repetitions)]
-    return CounterfactualInputs(
+    return CounterfactualRuns(
+        runs=runs,
         demos=test,
         asked=asked,
         teams=teams,
@@ -90,7 +98,7 @@ def counterfactual_runs(
     *,
     truth: Path | None = None,
     repetitions: int | None = None,
-) -> CounterfactualInputs:
+) -> CounterfactualRuns:
     """What :func:`ask_runs` finds, written to ``out``: all of it or nothing.
 
     ``out`` gets ``counterfactual``, ``claims`` and ``episodes`` as CSV and Parquet, ``figures/``

@@ -74,11 +74,9 @@ def fingerprint() -> str:
     weights = torch.sin(torch.arange(67 * 130, dtype=torch.float32)).reshape(67, 130)
     network = torch.tanh(weights.T @ (weights / 7)).exp().sum(0)
     return digest(
-        np.array([_sums(x), float((matrix @ matrix).sum())]),
-        np.log(np.abs(x) + 0.5),
-        network.numpy(),
-        np.array([np.__version__, nb.__version__, torch.__version__]),
-    )
+        np.array([_sums(x), float((matrix @ matrix).sum())]), np.log(np.abs(x) + 0.5),
+        network.numpy(), np.array([np.__version__, nb.__version__, torch.__version__]),
+    )  # fmt: skip
 
 
 def digest(*arrays: Any) -> str:
@@ -100,12 +98,10 @@ def steps_of(
         for n in FIRST
     ]
     return {
-        "observations": digest(np.array(observations)),
-        "rewards": digest(np.array(rewards)),
-        "ends": digest(np.array(ends)),
-        "outcomes": digest(np.array(outcomes)),
+        "observations": digest(np.array(observations)), "rewards": digest(np.array(rewards)),
+        "ends": digest(np.array(ends)), "outcomes": digest(np.array(outcomes)),
         "first": [round(value, 3) for value in first],
-    }
+    }  # fmt: skip
 
 
 def actions_for(num_actions: int, shape: tuple[int, ...]) -> NDArray[np.int64]:

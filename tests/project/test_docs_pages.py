@@ -127,11 +127,9 @@ def test_docs_site_lists_every_page_once() -> None:
 
 
 PAGES = [
-    ROOT / "benchmarks" / "README.md",
-    ROOT / "README.md",
-    *sorted((ROOT / "docs").rglob("*.md")),
+    ROOT / "benchmarks" / "README.md", ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "animarl_algos" / "pretrained").rglob("*.md")),
-]
+]  # fmt: skip
 LIVING = ["moths", "termites", "fly-groups", "courtship"]
 
 

@@ -38,11 +38,9 @@ def test_clients_give_the_learning_rate_third() -> None:
 
 def test_clients_list_layers() -> None:
     habits: dict[str, Any] = {
-        "net_arch": [48, 48, 48],
-        "activation_fn": nn.ReLU,
-        "features_extractor_class": FlattenExtractor,
-        "features_extractor_kwargs": {},
-    }
+        "net_arch": [48, 48, 48], "activation_fn": nn.ReLU,
+        "features_extractor_class": FlattenExtractor, "features_extractor_kwargs": {},
+    }  # fmt: skip
     ours = {"hidden": 48, "depth": 3}
     shapes = [
         {name: p.shape for name, p in learner(policy_kwargs=table).policy.named_parameters()}

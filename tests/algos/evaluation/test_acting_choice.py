@@ -33,10 +33,7 @@ from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import ENDING, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.thrust_choice import (
-    choose_thrusts,
-    tracking_floor,
-)
+from animarl_algos.evaluation.thrust_choice import choose_thrusts, tracking_floor
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
@@ -219,10 +216,8 @@ def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: Run) 
     assert (run.path / "policies" / "soft-bc.acting.json").exists()
     again = pipeline.learn(run, "soft-bc", progress_bar=False)
     assert again.policy.acting == chosen
-    other = Run(run.path, "boltzmann:0.3")
-    assert pipeline.learn(other, "soft-bc", progress_bar=False).policy.acting == Acting.boltzmann(
-        0.3
-    )
+    other = pipeline.learn(Run(run.path, "boltzmann:0.3"), "soft-bc", progress_bar=False)
+    assert other.policy.acting == Acting.boltzmann(0.3)
 
 
 def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_path: Path) -> None:
@@ -235,21 +230,16 @@ def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_pat
     refuses("no acting rule was chosen yet", Run(copy).acting, "soft-bc")
 
 
-@pytest.fixture(scope="module")
-def chases() -> Demonstrations:
-    demos = load_packaged("agent")
-    long = np.flatnonzero((demos.split == "train") & (demos.lengths > 60))
-    return demos.select(episodes=long[:40])
-
-
-def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for(chases: Demonstrations) -> None:
+def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for() -> None:
     """Three recordings of newts do not say whether one thrust will do; three exact chases do."""
     newts = load_packaged("newt").select(split="train").select(episodes=np.arange(3))
     floor = tracking_floor(newts, joint_locomotion(newts))
     assert floor.estimate <= 2 / 3 and floor.high - floor.low > 1 / 3
     assert choose_thrusts(newts)[0] == 3
     assert "too few to tell" in choose_thrusts(newts)[1]
-    assert choose_thrusts(chases.select(episodes=np.arange(3)))[0] == 1
+    agents = load_packaged("agent")
+    long = np.flatnonzero((agents.split == "train") & (agents.lengths > 60))[:3]
+    assert choose_thrusts(agents.select(episodes=long))[0] == 1
 
 
 def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
@@ -258,17 +248,16 @@ def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
     demos = replace(packaged, arena=replace(packaged.arena, rebound=False))
     sluggish = (Locomotion(0.003, 0.05),) * demos.num_individuals
     walled = arena_of(demos)
+
+    def farthest(arena: Arena) -> float:  # from the centre of the dish [arena unit]
+        return float(np.linalg.norm(track(demos, sluggish, arena).positions, axis=2).max())
+
     assert walled.rebound and not demos.arena.rebound
-    assert farthest(demos, sluggish, demos.arena) > 1.02
-    assert farthest(demos, sluggish, walled) <= 1.0
+    assert farthest(demos.arena) > 1.02
+    assert farthest(walled) <= 1.0
     floor = tracking_floor(demos, sluggish)
     assert floor == tracking_floor(demos, sluggish, arena=walled)
     assert floor != tracking_floor(demos, sluggish, arena=demos.arena)
-
-
-def farthest(demos: Demonstrations, locomotion: tuple[Locomotion, ...], arena: Arena) -> float:
-    """From the centre of the dish [arena unit]."""
-    return float(np.linalg.norm(track(demos, locomotion, arena).positions, axis=2).max())
 
 
 def test_recordings_are_less_likely_if_all_stand_still_or_die_at_once() -> None:

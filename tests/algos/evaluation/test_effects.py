@@ -9,10 +9,7 @@ import pytest
 
 from animarl_algos.evaluation import Answers, Asked, Rollouts, collect_rollouts, cue_effects
 from animarl_algos.evaluation import effects as of
-from animarl_algos.evaluation.effects import (
-    FEWEST_SEEDS,
-    objection_to_claim,
-)
+from animarl_algos.evaluation.effects import FEWEST_SEEDS, objection_to_claim
 from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.statistics import Cells
 from animarl_envs.demos.demonstrations import Demonstrations

@@ -222,11 +222,7 @@ def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
     table, blocks = verdict_table(found), list(verdict_blocks(found))
     assert table.row_count == len(found.table)
     tables = [block for block in blocks if isinstance(block, Table)]
-    assert [table.label for table in tables] == [
-        "Verdict",
-        "Realism",
-        "Realism by component",
-    ]
+    assert [table.label for table in tables] == ["Verdict", "Realism", "Realism by component"]
     rows = [row for table in tables for group in table.groups for row in group.rows]
     assert not any("nan" in cell for row in rows for cell in row.cells)
 

@@ -106,11 +106,9 @@ def walked_path(model: SequenceQLearning, env: toys.GridWalk) -> list[tuple[int,
 
 
 WALK = LEARN | {
-    "buffer_size": 20_000,
-    "exploration_steps": 3_000,
-    "target_update_interval": (50, "episode"),
+    "buffer_size": 20_000, "exploration_steps": 3_000, "target_update_interval": (50, "episode"),
     "updates_per_episode": 0.4,
-}
+}  # fmt: skip
 
 
 def test_choosing_between_equal_routes_needs_the_distance_reward() -> None:

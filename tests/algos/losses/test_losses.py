@@ -49,11 +49,7 @@ class GivenValues:
 
 
 @pytest.mark.parametrize(
-    ("loss", "expected"),
-    [
-        ("squared", [4.0, 1.0, 1.0]),
-        ("huber", [1.5, 0.5, 0.5]),
-    ],
+    ("loss", "expected"), [("squared", [4.0, 1.0, 1.0]), ("huber", [1.5, 0.5, 0.5])]
 )
 def test_expected_value_loss_by_hand(loss: Any, expected: list[float]) -> None:
     taken, target = (

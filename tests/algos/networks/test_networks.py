@@ -256,12 +256,11 @@ def test_dropout_is_one_mask_per_sequence_and_keeps_the_mean() -> None:
 
 
 RULES = {
-    "greedy": Acting(),
-    "boltzmann:0.7": Acting.boltzmann(0.7),
+    "greedy": Acting(), "boltzmann:0.7": Acting.boltzmann(0.7),
     "boltzmann:0.7,0.25,3": Acting.boltzmann([0.7, 0.25, 3.0]),
     "boltzmann:0.7,0.4/0.6/0.35": Acting.boltzmann([0.7, 0.4], thrust=0.6, direction=0.35),
     "epsilon:0.1": Acting.epsilon_greedy(0.1),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", RULES)

@@ -43,11 +43,9 @@ def poisoned(demos: Demonstrations, split: str = "test") -> Demonstrations:
     positions[bad] = rng.uniform(-0.9, 0.9, positions[bad].shape)
     within = demos.split == split
     return replace(
-        demos,
-        positions=positions,
-        outcome=np.where(within, 1, demos.outcome).astype(np.int8),
+        demos, positions=positions, outcome=np.where(within, 1, demos.outcome).astype(np.int8),
         condition=np.where(within, 1 - demos.condition, demos.condition).astype(np.int8),
-    )
+    )  # fmt: skip
 
 
 def learned(run: Run) -> tuple[bytes, ...]:

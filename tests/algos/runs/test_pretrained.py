@@ -113,12 +113,10 @@ def test_recordings_of_other_individuals_are_refused(
 ) -> None:
     names = [run.demos.individuals[i] for i in order]
     other = replace(
-        run.demos,
-        individuals=tuple(names),
-        roles=tuple(run.demos.roles[i] for i in order),
+        run.demos, individuals=tuple(names), roles=tuple(run.demos.roles[i] for i in order),
         positions=run.demos.positions[:, order],
         initial_velocity=run.demos.initial_velocity[:, order],
-    )
+    )  # fmt: skip
     file = other.save(tmp_path / "other.npz")
     words = f"other.npz: it shows {names[0]} .pursuer., .* learned from predator_0 .pursuer., pred"
     refuses(words, prepare, "AnimaRL/Agent-v0", model=run.path, demos=file)

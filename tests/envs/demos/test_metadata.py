@@ -49,11 +49,9 @@ def files(tmp_path: Path) -> list[Path]:
 
 
 CUTS = {
-    "whole": (),
-    "approach": ("--farther-than", 0.2, "--closer-than", 0.1),
-    "pieces": ("--piece", 1.0),
-    "events": ("--cut", "events", "--events", "EVENTS"),
-}
+    "whole": (), "approach": ("--farther-than", 0.2, "--closer-than", 0.1),
+    "pieces": ("--piece", 1.0), "events": ("--cut", "events", "--events", "EVENTS"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("cut", CUTS)
@@ -62,10 +60,8 @@ def test_metadata_gives_conditions_and_splits_with_every_cut(
 ) -> None:
     splits = ["train", "val", "test", "train", "", "train"] * 2
     table = pd.DataFrame({
-        "recording": [f"{name}.csv" for name in NAMES],
-        "condition": [name[:4] for name in NAMES],
-        "split": splits,
-        "weight": np.arange(12),
+        "recording": [f"{name}.csv" for name in NAMES], "condition": [name[:4] for name in NAMES],
+        "split": splits, "weight": np.arange(12),
     })  # fmt: skip
     table.to_csv(tmp_path / "sessions.csv", index=False, sep=";")
     events = tmp_path / "events.csv"
@@ -139,7 +135,7 @@ WRONG = {
     "recording,individual,role\nr,a,leader\n": "has the role 'leader'",
     "recording,individual,role\nr,a,target\nr,b,target\nr,c,pursuer\nr,d,pursuer\n": "several",
     "recording,condition\nr,0": "last line does not end",
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", WRONG)

@@ -12,7 +12,6 @@ from refusals import refuses
 from search_worlds import WIND, recorded, search_world
 
 import animarl_envs  # noqa: F401  (registers the ids)
-from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import make_scenario
@@ -30,36 +29,31 @@ from tools.packaged_data.moth_statistics import (
     wasserstein,
 )
 
-
-@pytest.fixture(scope="module")
-def packaged() -> Demonstrations:
-    return load_packaged("silkmoth")
+PACKAGED = load_packaged("silkmoth")
 
 
-def test_sixty_synthetic_episodes_are_small_and_no_split_shares_a_plume(
-    packaged: Demonstrations,
-) -> None:
+def test_sixty_synthetic_episodes_are_small_and_no_split_shares_a_plume() -> None:
     assert (FOLDER / "silkmoth.npz").stat().st_size < 2e6
-    assert packaged.synthetic
-    assert "programmed moths" in str(packaged.provenance["source"])
-    assert packaged.individuals == ("moth",) and packaged.roles == ("searcher",)
-    assert packaged.dt == SILKMOTH.dt
-    assert np.bincount(packaged.condition).tolist() == [30, 30]
-    plume = packaged.signals["plume"][packaged.offsets[:-1]]
-    plumes = {s: set(plume[packaged.split == s].tolist()) for s in ("train", "val", "test")}
+    assert PACKAGED.synthetic
+    assert "programmed moths" in str(PACKAGED.provenance["source"])
+    assert PACKAGED.individuals == ("moth",) and PACKAGED.roles == ("searcher",)
+    assert PACKAGED.dt == SILKMOTH.dt
+    assert np.bincount(PACKAGED.condition).tolist() == [30, 30]
+    plume = PACKAGED.signals["plume"][PACKAGED.offsets[:-1]]
+    plumes = {s: set(plume[PACKAGED.split == s].tolist()) for s in ("train", "val", "test")}
     assert plumes == {"train": {0, 1, 2}, "val": {3}, "test": {4}}
     assert plumes["train"] == set(SILKMOTH.train_plumes)
-    sizes = [(packaged.split == s).sum() for s in ("train", "val", "test")]
+    sizes = [(PACKAGED.split == s).sum() for s in ("train", "val", "test")]
     assert sizes == [36, 12, 12]
     for number, split in enumerate(SPLIT_OF_PATTERN):
         of_one = plume == number
-        assert of_one.sum() == 12 and packaged.condition[of_one].sum() == 6
-        assert set(packaged.split[of_one]) == {split}
-        assert len(set(packaged.recording[of_one])) == 1
+        assert of_one.sum() == 12 and PACKAGED.condition[of_one].sum() == 6
+        assert set(PACKAGED.split[of_one]) == {split}
+        assert len(set(PACKAGED.recording[of_one])) == 1
 
 
-def test_statistics_lie_near_the_published_ones(packaged: Demonstrations) -> None:
-    full, reduced = (of_demonstrations(packaged.select(condition=c)) for c in (0, 1))
+def test_statistics_lie_near_the_published_ones() -> None:
+    full, reduced = (of_demonstrations(PACKAGED.select(condition=c)) for c in (0, 1))
     assert full.rate == pytest.approx(PUBLISHED.reached_full, abs=0.05)
     assert reduced.rate == pytest.approx(PUBLISHED.reached_reduced, abs=0.05)
     duration = np.concatenate([full.duration, reduced.duration])
@@ -69,16 +63,14 @@ def test_statistics_lie_near_the_published_ones(packaged: Demonstrations) -> Non
 
 
 @pytest.mark.realdata
-def test_statistics_lie_near_those_of_recorded_moths(
-    packaged: Demonstrations, data_dir: Path
-) -> None:
+def test_statistics_lie_near_those_of_recorded_moths(data_dir: Path) -> None:
     recorded = of_demonstrations(recorded_moths(data_dir / "silkmoth_mothvr"))
     assert len(recorded.reached) == 24 and recorded.reached.sum() == 22
-    full = of_demonstrations(packaged.select(condition=0))
+    full = of_demonstrations(PACKAGED.select(condition=0))
     assert wasserstein(full.speed, recorded.speed) < 0.001
     assert wasserstein(full.turning, recorded.turning) < 0.7
     assert np.median(full.speed) == pytest.approx(np.median(recorded.speed), rel=0.25)
-    rows = comparison(packaged, recorded)
+    rows = comparison(PACKAGED, recorded)
     assert len({len(row) for row in rows}) == 1
     assert any(f"{recorded.rate:.3f}" in row for row in rows)
 
@@ -105,11 +97,11 @@ def test_statistics_of_a_known_track() -> None:
     assert wasserstein(np.array([1.0, 2.0]), np.array([1.5, 2.5])) == pytest.approx(0.5)
 
 
-def test_the_packaged_file_is_what_the_command_makes(packaged: Demonstrations) -> None:
-    made = generate(int(packaged.provenance["seed"]))
-    np.testing.assert_array_equal(made.lengths, packaged.lengths)
-    np.testing.assert_array_equal(made.outcome, packaged.outcome)
-    np.testing.assert_allclose(made.positions, packaged.positions, atol=1e-9)
+def test_the_packaged_file_is_what_the_command_makes() -> None:
+    made = generate(int(PACKAGED.provenance["seed"]))
+    np.testing.assert_array_equal(made.lengths, PACKAGED.lengths)
+    np.testing.assert_array_equal(made.outcome, PACKAGED.outcome)
+    np.testing.assert_allclose(made.positions, PACKAGED.positions, atol=1e-9)
 
 
 def test_what_makes_no_searches_is_refused(tmp_path: Path) -> None:

@@ -34,6 +34,8 @@ from tools.packaged_data.trained_chase.training import (
     weights_file,
 )
 
+PACKAGED = load_packaged("agent")
+
 TINY = ChaseTraining(steps=1500, copies=16, buffer_size=10_000, checkpoint_every=500)
 
 
@@ -128,42 +130,35 @@ def test_a_file_that_holds_no_weights_is_refused(tmp_path: Path) -> None:
     refuses("do not fit", make_policy, {"something": np.zeros(3, np.float32)}, epsilon=0.0, seed=0)
 
 
-@pytest.fixture(scope="module")
-def packaged() -> Demonstrations:
-    return load_packaged("agent")
-
-
-def test_packaged_chases_are_many_small_split_and_called_synthetic(
-    packaged: Demonstrations,
-) -> None:
+def test_packaged_chases_are_many_small_split_and_called_synthetic() -> None:
     assert (FOLDER / "agent.npz").stat().st_size < 2_000_000
-    assert packaged.synthetic
-    assert "trained artificial agents" in packaged.provenance["source"]
+    assert PACKAGED.synthetic
+    assert "trained artificial agents" in PACKAGED.provenance["source"]
     for condition in (0, 1):
-        splits = packaged.split[packaged.condition == condition]
+        splits = PACKAGED.split[PACKAGED.condition == condition]
         found = [int((splits == name).sum()) for name in ("train", "val", "test")]
         assert found == [200, 25, 25]
 
 
-def test_packaged_chases_come_from_the_packaged_weights(packaged: Demonstrations) -> None:
+def test_packaged_chases_come_from_the_packaged_weights() -> None:
     """Another processor may round a tie of two actions otherwise, so a few may differ."""
     repeated = generate(PACKAGED_WEIGHTS, 0, 250)
     alike = sum(
         a.positions.shape == b.positions.shape
         and np.allclose(a.positions, b.positions, atol=1e-5)
         and a.outcome == b.outcome
-        for a, b in zip(packaged, repeated, strict=True)
+        for a, b in zip(PACKAGED, repeated, strict=True)
     )
-    assert alike >= 0.95 * len(packaged)
+    assert alike >= 0.95 * len(PACKAGED)
 
 
-def test_packaged_chases_obey_the_dynamics(packaged: Demonstrations) -> None:
-    fit = fit_locomotion(packaged, "joint", seed=0, bootstrap=0)
+def test_packaged_chases_obey_the_dynamics() -> None:
+    fit = fit_locomotion(PACKAGED, "joint", seed=0, bootstrap=0)
     for locomotion in fit.locomotion:
         assert locomotion.damping == pytest.approx(0.25, abs=1e-3)
         assert locomotion.thrust == pytest.approx(3.0, abs=1e-3)
-    inferred = demonstrated_actions(packaged, AGENT.locomotion)
-    recorded = packaged.signals["actions"]
+    inferred = demonstrated_actions(PACKAGED, AGENT.locomotion)
+    recorded = PACKAGED.signals["actions"]
     acting = recorded >= 0
     assert (inferred[acting] == recorded[acting]).mean() > 0.999
 
@@ -194,8 +189,8 @@ def test_everybody_has_learned() -> None:
         assert (found["trained"].outcome < 0).mean() < 0.2
 
 
-def test_shared_reward_makes_other_hunters(packaged: Demonstrations) -> None:
-    individual, shared = (measure(packaged.select(condition=c)) for c in (0, 1))
+def test_shared_reward_makes_other_hunters() -> None:
+    individual, shared = (measure(PACKAGED.select(condition=c)) for c in (0, 1))
     rng = np.random.default_rng(0)
     for name in (
         "distance between the predators [arena unit]",
@@ -213,8 +208,8 @@ def test_encirclement_is_the_angle_at_the_prey(second: tuple[float, float], angl
 
 
 @pytest.mark.realdata
-def test_table_beside_the_local_recordings(packaged: Demonstrations, data_dir: Path) -> None:
-    rows = statistics_table(packaged, data_dir / "agents_collab_hunting")
+def test_table_beside_the_local_recordings(data_dir: Path) -> None:
+    rows = statistics_table(PACKAGED, data_dir / "agents_collab_hunting")
     found = {cells[1].strip(): cells for cells in (row.split("|") for row in rows)}
     assert found["captured"][2].strip() == "0.672 / 0.814"
     assert found["captured"][3].strip() == "0.180 / 0.396"

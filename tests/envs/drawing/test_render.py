@@ -96,11 +96,9 @@ def test_mirrored_scene_is_the_mirrored_picture(renderer, shape):
     scene = make_scene(species=with_options(HUNT, arena=shape), trails=trails)
     flip = np.array([-1.0, 1.0])
     mirrored = dataclasses.replace(
-        scene,
-        positions=scene.positions * flip,
-        trails=trails * flip,
+        scene, positions=scene.positions * flip, trails=trails * flip,
         headings=np.pi - scene.headings,
-    )
+    )  # fmt: skip
     unturned = dataclasses.replace(mirrored, headings=scene.headings)
 
     def difference(other: Scene) -> float:
@@ -200,13 +198,10 @@ def test_open_field_shows_source_start_and_scale(renderer):
 @pytest.mark.parametrize(
     ("longest", "unit", "length", "label"),
     [
-        (0.123, "m", 0.1, "10 cm"),
-        (0.2, "m", 0.2, "20 cm"),
-        (0.0049, "m", 0.002, "2 mm"),
-        (7.0, "m", 5.0, "5 m"),
-        (0.7, "unit", 0.5, "0.5 unit"),
+        (0.123, "m", 0.1, "10 cm"), (0.2, "m", 0.2, "20 cm"), (0.0049, "m", 0.002, "2 mm"),
+        (7.0, "m", 5.0, "5 m"), (0.7, "unit", 0.5, "0.5 unit"),
     ],
-)
+)  # fmt: skip
 def test_scale_bar_is_round(longest, unit, length, label):
     found, text = round_length(longest, unit)
     assert found == pytest.approx(length)

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from recordings import begun
 from refusals import refuses
 from thrust_walks import DT, MULTIPLES, TRUTH, three, walk
 
@@ -20,13 +21,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting import demonstrated_actions, one_step_misses, transitions
 from animarl_envs.fitting.joint import nearest_actions
 from animarl_envs.focus import focus_directions
-from animarl_envs.locomotion import (
-    COAST,
-    MOST_THRUSTS,
-    Locomotion,
-    apply_actions,
-    infer_actions,
-)
+from animarl_envs.locomotion import COAST, MOST_THRUSTS, Locomotion, apply_actions, infer_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY, SILKMOTH, ChaseSpecies, Species
 from animarl_envs.species.options import with_options
@@ -48,9 +43,7 @@ def test_magnitudes_are_an_option_by_name() -> None:
 @pytest.mark.parametrize("plain", [AGENT, SILKMOTH], ids=["agent", "silkmoth"])
 def test_worlds_and_numpy_move_alike(plain: Species) -> None:
     species = three(plain)
-    world = make_world(make_scenario(species, demos=None), 50)
-    world.seed(np.arange(50))
-    world.reset()
+    world = begun(make_scenario(species, demos=None), 50)
     rng = np.random.default_rng(0)
     for _ in range(10):
         actions = rng.integers(37, size=(50, species.num_individuals))

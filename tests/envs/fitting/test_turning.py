@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recordings import recordings_of
+from recordings import begun, recordings_of
 from refusals import refuses
 
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -16,7 +16,6 @@ from animarl_envs.fitting.turning import along_travel, fit_turning, free_running
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species.silkmoth import RECORDED_TURNING
 from animarl_envs.species.turning import Turning
-from animarl_envs.worlds import make_world
 from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored, write_inputs
 from tools.packaged_data.moth_statistics import recorded_moths
 from tools.packaged_data.moth_turning import held_out_errors
@@ -54,11 +53,9 @@ def planted(noise: float, turning: Turning = PLANTED, seed: int = 0) -> Demonstr
 def moved(demos: Demonstrations, matrix: Any, heading: Any) -> Demonstrations:
     """The same walks in the plane, turned or mirrored."""
     return replace(
-        demos,
-        positions=demos.positions @ matrix.T,
-        initial_velocity=demos.initial_velocity @ matrix.T,
-        signals={"heading": heading},
-    )
+        demos, positions=demos.positions @ matrix.T,
+        initial_velocity=demos.initial_velocity @ matrix.T, signals={"heading": heading},
+    )  # fmt: skip
 
 
 def numbers(turning: Turning | None) -> list[float]:
@@ -147,9 +144,7 @@ def test_a_law_of_hits_is_found_and_drawn_in_the_world(recorded: Demonstrations)
     inputs, hits = odour_steps(recorded)
     surprise = -np.log(odour.chances(inputs)[np.arange(len(hits)), hits]).mean()
     assert surprise < 0.5 * (lasting + beginning) + 0.08  # persistence untold: 0.69
-    world = make_world(make_scenario(species, demos=None), num_copies=200)
-    world.seed(list(range(200)))
-    world.reset()
+    world = begun(make_scenario(species, demos=None), 200)
     drawn_hits, draw = [], np.random.default_rng(0)
     for _ in range(100):  # they wander over the places that were recorded
         world.step(draw.integers(species.num_actions, size=(200, 1)))
@@ -176,16 +171,12 @@ def test_nobody_smells_where_nobody_was_recorded(recorded: Demonstrations) -> No
 
 def test_a_copy_smells_the_same_alone_and_beside_others(recorded: Demonstrations) -> None:
     species = species_of(recorded)
-    smelt = []
-    for copies in (1, 3):
-        world = make_world(make_scenario(species, demos=None), num_copies=copies)
-        world.seed(list(range(7, 7 + copies)))
-        world.reset()
-        own = []
+    smelt: list[list[Any]] = [[], []]
+    for own, copies in zip(smelt, (1, 3), strict=True):
+        world = begun(make_scenario(species, demos=None), copies)
         for _ in range(20):
             world.step(np.zeros((copies, 1), dtype=np.int64))
             own.append(world.odour[0].copy())
-        smelt.append(np.array(own))
     assert np.array_equal(*smelt)
 
 

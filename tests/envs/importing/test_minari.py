@@ -4,7 +4,6 @@ import json
 import socket
 from pathlib import Path
 
-import minari
 import numpy as np
 import pytest
 from refusals import refuses
@@ -15,7 +14,7 @@ from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.importing.minari_io import export_minari, export_packaged, import_minari
 from animarl_envs.importing.readers import read
 
-pytest.importorskip("minari")
+minari = pytest.importorskip("minari")
 
 
 def demonstrations(*, actions: bool, individuals: int = 3) -> Demonstrations:

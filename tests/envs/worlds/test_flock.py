@@ -9,7 +9,7 @@ import pytest
 from commands import animarl
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
-from recordings import CHASER, SYNTHETIC, flock, write_tracks
+from recordings import CHASER, SYNTHETIC, begun, flock, write_tracks
 from refusals import refuses
 
 import animarl_envs
@@ -84,9 +84,7 @@ def test_a_dog_that_follows_its_script_comes_nearer_than_one_that_stands_still()
     least = {}
     for rule in ("scripted", "coast"):
         drivers = {"prey_0": "coast", "prey_1": "coast", "predator_0": rule}
-        world = make_world(make_scenario("agent", demos=None, num_targets=2, drivers=drivers), 30)
-        world.seed(np.arange(30))
-        world.reset()
+        world = begun(make_scenario("agent", demos=None, num_targets=2, drivers=drivers), 30)
         for _ in range(20):
             world.step(np.zeros((30, 3), dtype=int))
             world.reset(world.terminated & False)

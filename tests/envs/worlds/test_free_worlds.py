@@ -5,7 +5,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from recordings import SYNTHETIC, episodes_along
+from recordings import SYNTHETIC, begun, episodes_along
 from refusals import refuses
 
 import animarl_envs
@@ -16,7 +16,7 @@ from animarl_envs.fitting import joint_locomotion, track
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
-from animarl_envs.worlds import demonstration_observations, make_world, observation_components
+from animarl_envs.worlds import demonstration_observations, observation_components
 from animarl_envs.worlds.chase.layout import DELAY, DELAYS
 from tools.packaged_data import shoal
 
@@ -42,9 +42,7 @@ def test_world_labels_and_tracking_have_one_focus(animals: int) -> None:
     demos = group(animals)
     drivers = dict.fromkeys(demos.individuals, "replay")
     scenario = make_scenario("custom", demos=demos, split="train", drivers=drivers)
-    world = make_world(scenario)
-    world.seed([0])
-    world.reset()
+    world = begun(scenario)
     assert scenario.demos is not None
     seen = demonstration_observations(scenario.species, scenario.demos)
     first, focus = int(scenario.demos.offsets[world.demo[0]]), scenario.demos.focus()
@@ -68,9 +66,7 @@ def test_focus_rules_hold_in_world_labels_and_tracking(rule: str) -> None:
     demos = group(6)
     drivers = dict.fromkeys(demos.individuals, "replay")
     scenario = make_scenario("custom", demos=demos, split="train", drivers=drivers, focus=rule)
-    world = make_world(scenario)
-    world.seed([0])
-    world.reset()
+    world = begun(scenario)
     assert scenario.demos is not None and scenario.demos.focus_rule == rule
     focus, first = scenario.demos.focus(), int(scenario.demos.offsets[world.demo[0]])
     for t in range(5):
@@ -94,11 +90,9 @@ def test_focus_rules_hold_in_world_labels_and_tracking(rule: str) -> None:
 def test_the_nearest_few_do_not_depend_on_what_was_seen_before() -> None:
     """As of all pairs, ties by index, while animals move, jump and start anew."""
     scenario = make_scenario("shoal", demos=None, num_pursuers=30, neighbours=5)
-    world, rng = make_world(scenario, 3), np.random.default_rng(1)
+    world, rng = begun(scenario, 3), np.random.default_rng(1)
     names = [one.name for one in observation_components(scenario.species)]
     shown = [names.index(f"other {k} relative position ahead") for k in range(1, 6)]
-    world.seed([0, 1, 2])
-    world.reset()
     for step in range(12):
         if step % 4 == 2:  # onto a lattice, where many are as far away
             world.position[:] = rng.integers(-3, 4, world.position.shape) / 4.0
@@ -165,9 +159,7 @@ def test_nothing_ends_but_by_leaving() -> None:
         _, reward, terminated, truncated, _ = env.step(env.action_space.sample())
         assert not terminated and reward == 0.0
     assert truncated
-    fleeing = make_world(make_scenario("custom", demos=demos, rebound=False, boundary=1.1), 2)
-    fleeing.seed([0, 1])
-    fleeing.reset()
+    fleeing = begun(make_scenario("custom", demos=demos, rebound=False, boundary=1.1), 2)
     for _ in range(400):
         fleeing.step(np.zeros((2, 3), dtype=np.int64))
         if fleeing.terminated.all():
@@ -180,9 +172,7 @@ def test_a_shoal_may_be_paid_for_company() -> None:
     start = np.array([[0.0, 0.0], [0.05, 0.0], [0.5, 0.0], [-0.5, 0.0]])
     paid = {"start": start, "shoaling_reward": True, "contact_radius": 0.2}
     scenario = make_scenario("custom", demos=demos, **paid)
-    world = make_world(scenario)
-    world.seed([0])
-    world.reset()
+    world = begun(scenario)
     world.step(np.full((1, 4), world.num_actions - 1))
     np.testing.assert_allclose(world.reward[0], [DT, DT, 0.0, 0.0])
 
@@ -228,9 +218,7 @@ def test_free_animals_differ_as_training_animals_do() -> None:
     names = [one.name for one in observation_components(species)]
     seen = demonstration_observations(species, demos)[demos.offsets[:-1], 0]
     assert (np.diff(seen[:, names.index("own speed")]) >= 0).all()
-    world = make_world(make_scenario(species, demos=demos, split="test"), 200)
-    world.seed(np.arange(200))
-    world.reset()
+    world = begun(make_scenario(species, demos=demos, split="test"), 200)
     speeds = world.observation[:, 0, names.index("own speed")]
     assert len(np.unique(speeds)) > 5
     table = species.traits.table[:, 0, 0].astype(np.float32)

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from recordings import begun
 
 from animarl_envs.demos.demonstrations import TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
@@ -262,9 +263,7 @@ def test_invariance_the_limit_truncates_and_components_sum(
     condition = condition if SPECIES[name].conditions else 0
     options: dict[str, Any] = {"warmup": 0, "time_limit": limit, "condition": condition}
     copies = 32
-    world = make_world(make_scenario(name, demos=None, **options), copies)
-    world.seed(np.arange(copies) + seed % 1000)
-    world.reset()
+    world = begun(make_scenario(name, demos=None, **options), copies, seed % 1000)
     rng = np.random.default_rng(seed)
     running = np.ones(copies, dtype=bool)
     for t in range(1, limit + 1):

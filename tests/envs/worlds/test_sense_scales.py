@@ -35,13 +35,11 @@ def changes(species: Species) -> list[dict[str, Any]]:
     """Every kind of change of the world, each alone and all together."""
     last, first = species.individuals[-1], species.locomotion[0]
     each: list[dict[str, Any]] = [
-        {"locomotion": {last: 1.3}},
-        {"locomotion": dict.fromkeys(species.individuals, 0.5)},
+        {"locomotion": {last: 1.3}}, {"locomotion": dict.fromkeys(species.individuals, 0.5)},
         {"locomotion": {last: {"damping": min(1.0, 2.0 * first.damping + 0.1)}}},
-        {"arena": 1.5 * species.arena.size},
-        {"contact_radius": 2.0 * species.contact_radius},
+        {"arena": 1.5 * species.arena.size}, {"contact_radius": 2.0 * species.contact_radius},
         {"time_limit": 12},
-    ]
+    ]  # fmt: skip
     return [*each, {key: value for one in each for key, value in one.items()}]
 
 
