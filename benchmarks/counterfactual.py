@@ -35,9 +35,9 @@ from animarl_algos.evaluation import counterfactual_runs
 from animarl_algos.evaluation import effects as of
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.report.counterfactual_page import CounterfactualInputs
 from animarl_algos.report.words import with_interval
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.counterfactual import CounterfactualRuns
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
@@ -220,11 +220,11 @@ def main(
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def markdown(found: CounterfactualRuns) -> str:
+def markdown(found: CounterfactualInputs) -> str:
     """The table of shifts with their truth, and what may be claimed."""
-    effects, conditions = found.effects, found.runs.species.conditions
+    effects, conditions = found.effects, found.species.conditions
     table = effects.table[effects.table["counting"] == "all"]
-    moths = found.runs.species.name == MOTH
+    moths = found.species.name == MOTH
     who, walked = ("silkmoths (synthetic)", "moth") if moths else ("recorded agents", "predators")
     unit = unit_of(found.demos).name if moths else "arena units"
     truth = "" if moths else (
@@ -258,7 +258,7 @@ def markdown(found: CounterfactualRuns) -> str:
                     for _, r in accuracy.iterrows())]  # fmt: skip
     lines += [""]
     for _, row in effects.claims.iterrows():
-        if (row["condition"], row["told"]) != found.runs.species.planned_flip:
+        if (row["condition"], row["told"]) != found.species.planned_flip:
             continue
         own = table[(table["method"] == row["method"]) & (table["condition"] == row["condition"])]
         shift, missed = _cell(own, of.PREDICTED), _cell(own, of.MISSED)

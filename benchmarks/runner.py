@@ -15,15 +15,8 @@ import time
 from pathlib import Path
 from statistics import mean
 
-from animarl_algos.benchmark.pieces import (
-    Done,
-    Piece,
-    Watch,
-    Workers,
-    attempt,
-    perform_all,
-    write_json,
-)
+from animarl_algos.benchmark.pieces import Piece, Watch, Workers, attempt, perform_all
+from animarl_algos.runs.run_files import write_json
 
 PROCESSES, FEW = 2, 10
 
@@ -46,9 +39,9 @@ class Nothing(Piece):
 class Failing(Watch):
     """A piece that fails ends it."""
 
-    def ended(self, piece: Piece, done: Done | None) -> None:
-        if done is not None and done.error:
-            raise RuntimeError(done.error)
+    def ended(self, piece: Piece, error: str | None) -> None:
+        if error:
+            raise RuntimeError(error)
 
 
 def alone(pieces: list[Nothing], out: Path) -> float:

@@ -26,10 +26,11 @@ import numpy as np
 import torch
 
 from animarl_algos.benchmark.matrix import Plan, plan, read_matrix
-from animarl_algos.benchmark.pieces import Cell, write_json
+from animarl_algos.benchmark.pieces import Cell
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_files import write_json
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged

@@ -44,7 +44,7 @@ def whole_verdict(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> bo
     if tests.differs:
         return False
     asked = judges(prepared, counted, {}, None, unit, (*streams[1:3], streams[4]), alone=True)
-    return all(judge.row.judgement == SAME for judge in asked)
+    return all(row.judgement == SAME for row, _ in asked)
 
 
 def joint_test(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> bool:

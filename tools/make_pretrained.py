@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from animarl_algos.benchmark.matrix import claim_folder, plan, read_matrix
-from animarl_algos.benchmark.pieces import Cell, Done, Piece, Watch, Workers, perform_all
+from animarl_algos.benchmark.pieces import Cell, Piece, Watch, Workers, perform_all
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
@@ -40,16 +41,19 @@ class Printed(Watch):
 
     def __init__(self) -> None:
         self.failed: list[str] = []
+        self.begun: dict[str, float] = {}
 
     def started(self, piece: Piece) -> None:
         print(f"{piece.name} begins", flush=True)
+        self.begun[piece.name] = time.monotonic()
 
-    def ended(self, piece: Piece, done: Done | None) -> None:
-        if done is None:
+    def ended(self, piece: Piece, error: str | None) -> None:
+        if error is None:
             return
-        print(f"{piece.name}: {done.error or f'{done.seconds:.0f} s'}", flush=True)
-        if done.error:
-            self.failed.append(done.error)
+        seconds = time.monotonic() - self.begun[piece.name]
+        print(f"{piece.name}: {error or f'{seconds:.0f} s'}", flush=True)
+        if error:
+            self.failed.append(error)
 
 
 def validation_mismatch(run: Run) -> float:

@@ -18,13 +18,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from animarl_algos.benchmark.pieces import Cell, Clone, FittedWorld, Piece, Scoring, write_json
+from animarl_algos.benchmark.pieces import Cell, Clone, FittedWorld, Piece, Scoring
 from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_algos.runs.pipeline import rehearse, with_recipe
-from animarl_algos.runs.run_files import versions
+from animarl_algos.runs.run_files import versions, write_json
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -32,7 +32,7 @@ from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
-from animarl_envs.files import is_part, parse_yaml, read_yaml
+from animarl_envs.files import is_part, read_yaml
 from animarl_envs.importing.readers import read
 from animarl_envs.species import CUSTOM, SPECIES
 
@@ -183,14 +183,11 @@ def _refuse_unknown(key: str, names: Iterable[str], known: Iterable[str]) -> Non
 def read_matrix(preset: str, config: Path | None = None) -> Matrix:
     """Read a preset of ``zoo_configs/benchmark``, or the file ``config``; a refusal names it."""
     place = matrix_file(preset, config)
-    if config is None:
-        if preset not in matrix_names():
-            raise InputError(f"preset {preset!r} is unknown: choose {', '.join(matrix_names())}")
-        content = parse_yaml((FOLDER / f"{preset}.yml").read_text(encoding="utf-8"), place)
-    elif not config.is_file():
+    if config is None and preset not in matrix_names():
+        raise InputError(f"preset {preset!r} is unknown: choose {', '.join(matrix_names())}")
+    if config is not None and not config.is_file():
         raise InputError(f"{config}: there is no such file: write a matrix, or give --preset")
-    else:
-        content = read_yaml(config)
+    content = read_yaml(config or Path(str(FOLDER / f"{preset}.yml")))
     if not isinstance(content, dict):
         raise InputError(f"{place}: it holds no table: give species, recipes and seeds")
     try:

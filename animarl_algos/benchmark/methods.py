@@ -55,6 +55,8 @@ from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds import demonstration_observations, make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
+Ints = NDArray[np.int64]
+
 TERMINATED = 143  # a worker ends with it where it was told to end
 
 
@@ -110,21 +112,12 @@ class CheckedPolicy:
             )
         self._name, self._policy, self._num_actions = name, policy, num_actions
 
-    def predict(
-        self,
-        observation: NDArray[np.floating],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
+    def predict(self, observation: Any, state: Any = None, **known: Any) -> tuple[Ints, Any]:
         """Return one action per slot; raise InputError where the method does anything else."""
         slots, most = len(observation), self._num_actions - 1
         with foreign(f"method {self._name}: its predict raised", "fix it"):
             if hasattr(self._policy, "predict"):
-                actions, state = self._policy.predict(
-                    observation, state=state, episode_start=episode_start,
-                    deterministic=deterministic,
-                )  # fmt: skip
+                actions, state = self._policy.predict(observation, state=state, **known)
             else:
                 actions = self._policy(observation)
             found = np.asarray(actions)
@@ -205,7 +198,6 @@ def source_of(place: str) -> str:
     return f"{place}#{hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()[:16]}"
 
 
-Ints = NDArray[np.int64]
 RECORDINGS = "recordings"
 OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", "velocity left"))
 """By what names worlds have an individual's velocity, in the frame of its actions."""
@@ -218,40 +210,38 @@ def reference_rollouts(
 ) -> Rollouts:
     """Return the rollouts of one row, from every test start.
 
-    ``fold``: they are those of a cross-validation.
+    ``fold``: they are those of a cross-validation. Over all of its folds each recording is taken
+    once, as one of the validation split, beside another one.
     """
     demos, species, scenario = world.demos, world.species, world.scenario
     test = demos.select(split="test")
     if method == RECORDINGS:
-        return others_as_rollouts(beside_fold(demos) if fold else learnable(demos), test, seed)
+        beside = demos.select(split="val") if fold else learnable(demos)
+        return others_as_rollouts(beside, test, seed)
     if method == "tracking":
         tracked = followed(test, track(test, species.locomotion, species.arena))
         return replace(tracked, method=method, seed=np.full(len(tracked), seed))
     if method == "experts":
         return expert_rollouts(demos, species, seed, repetitions)
-    if method == "scripted" and not isinstance(species, SearchSpecies):
-        scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
+    policy: collect.Policy
+    if method == "nearest":
+        policy = NearestSegment(species, learnable(demos), seed)
+    elif method == "scripted" and isinstance(species, SearchSpecies):
+        policy = ProgrammedPolicy(species, seed)
+    elif method in ("scripted", "random"):
+        policy = collect.RandomPolicy(seed, species.num_actions)
+        if method == "scripted":  # the world's script decides
+            scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
+    else:
+        policy = Steering(scenario, keep=1.0 if method == "constant-velocity" else 0.0)
     return collect.collect_rollouts(
         partial(make_world, scenario),
-        _policy(method, scenario, seed, demos),
+        policy,
         method=method,
         seed=seed,
         repetitions=repetitions,
         cue="actual" if method == "nearest" else None,
     )
-
-
-def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> collect.Policy:
-    species = scenario.species
-    if name == "nearest":
-        return NearestSegment(species, learnable(demos), seed)
-    if name == "random":
-        return collect.RandomPolicy(seed, species.num_actions)
-    if name == "scripted":
-        if isinstance(species, SearchSpecies):
-            return ProgrammedPolicy(species, seed)
-        return collect.RandomPolicy(seed, species.num_actions)  # the world's script decides
-    return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
 
 
 def expert_rollouts(
@@ -297,14 +287,6 @@ def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) 
     )
 
 
-def beside_fold(demos: Demonstrations) -> Demonstrations:
-    """Return the recordings that a fold's test episodes are compared with: its validation split.
-
-    Over all folds of a cross-validation each recording is taken once, beside another one.
-    """
-    return demos.select(split="val")
-
-
 class Steering(collect.MemorylessPolicy):
     """The action after which the velocity is nearest to ``keep`` times what it is.
 
@@ -340,13 +322,7 @@ class ProgrammedPolicy:
     def __init__(self, species: SearchSpecies, seed: int) -> None:
         self._species, self._rng = species, np.random.default_rng(seed)
 
-    def predict(
-        self,
-        observation: NDArray[np.floating],
-        state: ProgrammedMoth | None = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Ints, ProgrammedMoth]:
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Ints, Any]:
         if state is None:
             state = ProgrammedMoth(len(observation), self._rng, self._species)
             state.reset()
@@ -382,22 +358,15 @@ class NearestSegment:
         self._steps = max(1, round(SEGMENT / species.dt))
 
     def predict(
-        self,
-        observation: NDArray[np.floating],
-        state: tuple[Ints, Ints] | None = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
+        self, observation: Any, state: Any = None, episode_start: Any = None, **_: Any
     ) -> tuple[Ints, tuple[Ints, Ints]]:
         """One action per slot; the state is the frame that each is at and the steps left of it."""
         slots = len(observation)
         who = np.arange(slots) % self._individuals
-        if state is None:
-            frame, left = np.zeros(slots, dtype=np.int64), np.zeros(slots, dtype=np.int64)
-        else:
-            frame, left = state[0] + 1, state[1] - 1
+        frame, left = np.array([[-1], [1]]).repeat(slots, axis=1) if state is None else state
+        frame, left = frame + 1, left - 1
         anew = (left == 0) | (self._actions[frame, who] < 0)
-        if episode_start is not None:
-            anew |= np.asarray(episode_start, dtype=bool)
+        anew |= np.asarray(episode_start, dtype=bool)
         condition = observation[:, -1].astype(np.int64)
         for own, of in {(int(w), int(c)) for w, c in zip(who[anew], condition[anew])}:
             asking = np.flatnonzero(anew & (who == own) & (condition == of))

@@ -27,7 +27,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from filelock import FileLock, Timeout
@@ -42,12 +42,11 @@ from animarl_algos.losses.terms import OfflineLoss
 from animarl_algos.recipes.registry import SoftBC, named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
-from animarl_algos.runs.run_files import versions
+from animarl_algos.runs.run_files import versions, write_json
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.compiling import source_key
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 from animarl_envs.worlds import make_world
 
 COMMAND = "animarl benchmark"
@@ -59,14 +58,6 @@ DETERMINING = (
 """Settings of a learner that cloning hangs on; weights of other loss terms are none of them."""
 ONLINE_ONLY = ("dtw",)
 """Options of its environment that nothing offline reads."""
-
-
-class Done(NamedTuple):
-    """How an attempt ended, and after how many seconds; ``error`` is empty where it succeeded."""
-
-    name: str
-    seconds: float
-    error: str = ""
 
 
 class Piece(ABC):
@@ -331,7 +322,7 @@ class Scoring(Piece):
             else crossed_score(made, first.method, resamples=self.resamples)
         )
         labels = {"data": self.data, "kind": first.kind}
-        write_json(self.folder(out) / self.RESULT, found.to_json() | labels, allow_nan=True)
+        write_json(self.folder(out) / self.RESULT, found.to_json() | labels)
 
     def result(self, out: Path) -> Score:
         return Score.from_json(json.loads((self.folder(out) / self.RESULT).read_text()))
@@ -371,28 +362,20 @@ def _resolved(settings: RunSettings) -> dict[str, Any]:
 
 
 def _hashed(determining: Mapping[str, Any]) -> str:
-    """A key of 16 hexadecimal digits, of the code too."""
-    text = json.dumps({**determining, **code()}, sort_keys=True, default=str)
+    """A key of 16 hexadecimal digits, of the versions and the kernels' sources too."""
+    code = {"versions": versions(), "kernels": source_key("animarl_algos")}
+    text = json.dumps({**determining, **code}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def code() -> dict[str, Any]:
-    """Return what decides a result besides settings and recordings: versions, kernels' sources."""
-    return {"versions": versions(), "kernels": source_key("animarl_algos")}
 
 
 def _world_name(data: str, fold: int | None) -> str:
     return f"{data}/world" if fold is None else f"{data}/world/fold{fold}"
 
 
-def write_json(path: Path, content: Any, *, allow_nan: bool = False) -> None:
-    with write_then_rename(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=allow_nan) + "\n")
+def attempt(piece: Piece, out: Path) -> str | None:
+    """Do a piece of work in one thread, and return its error, empty if it succeeded.
 
-
-def attempt(piece: Piece, out: Path) -> Done | None:
-    """Do a piece of work in one thread; an error is recorded in its folder, and the rest goes on.
-
+    The error is recorded in its folder, and the rest goes on.
     Warnings are kept there too: dozens of them would hide the table of what runs.
     Several commands may be at work in the same results: each piece is done by one of them, and the
     others get None. Ctrl-C and a signal to end go through.
@@ -402,30 +385,25 @@ def attempt(piece: Piece, out: Path) -> Done | None:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with FileLock(folder / LOCK, timeout=0):
-            return _locked_attempt(piece, out, folder)
+            if piece.finished(out):  # by another command, before this one looked
+                return ""
+            if said := piece.lacks(out):
+                piece.record_error(out, said)
+                return said
+            (folder / ERROR).unlink(missing_ok=True)
+            try:
+                with threadpool_limits(1), warnings.catch_warnings(record=True) as warned:
+                    piece.perform(out)
+            except Exception as error:  # a failing cell is one line of the results, whatever failed
+                kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+                said = methods.one_line(f"{kind}{error}")
+                piece.record_error(out, said, traceback.format_exc())
+            else:
+                if warned:
+                    write_json(folder / "warnings.json", [str(one.message) for one in warned])
+            return said
     except Timeout:
         return None
-
-
-def _locked_attempt(piece: Piece, out: Path, folder: Path) -> Done:
-    if piece.finished(out):  # by another command, before this one looked
-        return Done(piece.name, 0.0)
-    if lacking := piece.lacks(out):
-        piece.record_error(out, lacking)
-        return Done(piece.name, 0.0, lacking)
-    began, said = time.monotonic(), ""
-    (folder / ERROR).unlink(missing_ok=True)
-    try:
-        with threadpool_limits(1), warnings.catch_warnings(record=True) as warned:
-            piece.perform(out)
-    except Exception as error:  # a failing cell is one line of the results, whatever failed
-        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
-        said = methods.one_line(f"{kind}{error}")
-        piece.record_error(out, said, traceback.format_exc())
-    else:
-        if warned:
-            write_json(folder / "warnings.json", [str(one.message) for one in warned])
-    return Done(piece.name, time.monotonic() - began, said)
 
 
 PATIENCE = 5.0  # [s] until a worker is told to end again
@@ -439,8 +417,8 @@ class Watch:
     def started(self, piece: Piece) -> None:
         pass
 
-    def ended(self, piece: Piece, done: Done | None) -> None:
-        """It is done, or None: another command is at it, and it is asked for again later."""
+    def ended(self, piece: Piece, error: str | None) -> None:
+        """It is done, with an error or an empty one; None: another command is at it for now."""
 
 
 class Workers:
@@ -461,10 +439,10 @@ class Workers:
             for child in multiprocessing.active_children():
                 child.terminate()
 
-    def submit(self, piece: Piece, out: Path) -> Future[Done | None]:
+    def submit(self, piece: Piece, out: Path) -> Future[str | None]:
         """Promise the result of an attempt."""
         if self.number == 1:
-            kept: Future[Done | None] = Future()
+            kept: Future[str | None] = Future()
             kept.set_result(attempt(piece, out))
             return kept
         try:
@@ -491,7 +469,7 @@ def perform_all(pieces: Iterable[Piece], out: Path, workers: Workers, watch: Wat
     left = {piece.name for piece in later}
     deaths: Counter[str] = Counter()
     not_before: dict[str, float] = {}
-    running: dict[Future[Done | None], Piece] = {}
+    running: dict[Future[str | None], Piece] = {}
     while later or running:
         now = time.monotonic()
         ready = [
@@ -508,24 +486,22 @@ def perform_all(pieces: Iterable[Piece], out: Path, workers: Workers, watch: Wat
         for future in wait(running, LOOK_AGAIN, FIRST_COMPLETED).done:
             piece = running.pop(future)
             try:
-                done = future.result()
+                error = future.result()
             except BrokenProcessPool:
                 deaths[piece.name] += 1
                 if deaths[piece.name] < ATTEMPTS:
                     later.append(piece)
                     continue
-                done = Done(
-                    piece.name, 0.0, f"its process died {ATTEMPTS} times (see to the memory)"
-                )
-            if done is None:
+                error = f"its process died {ATTEMPTS} times (see to the memory)"
+            if error is None:
                 not_before[piece.name] = time.monotonic() + LOOK_AGAIN
                 later.append(piece)
                 watch.ended(piece, None)
                 continue
-            if done.error != piece.error(out):  # of a process that could not write it
-                piece.record_error(out, done.error)
+            if error != piece.error(out):  # of a process that could not write it
+                piece.record_error(out, error)
             left.remove(piece.name)
-            watch.ended(piece, done)
+            watch.ended(piece, error)
 
 
 def _end_politely() -> None:

@@ -16,15 +16,17 @@ of them against the recording.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
+from animarl_algos.benchmark.methods import RECORDINGS, others_as_rollouts
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
@@ -32,7 +34,7 @@ from animarl_algos.evaluation.prepared import Prepared, censored, comparison_smo
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
-from animarl_algos.evaluation.verdict import summary_table, verdict
+from animarl_algos.evaluation.verdict import SUMMARY, summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
 from animarl_envs.checks import printable
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -57,7 +59,7 @@ ROUNDING = 1e-9
 
 def differences() -> list[Metric]:
     """Return the metrics whose difference to the recordings stands on the board."""
-    return [one for one in METRICS if one.judged and one.of_recordings and one.on_board]
+    return [one for one in METRICS if one.of_recordings and (one.compared or one.key in SUMMARY)]
 
 
 def labels() -> dict[str, str]:
@@ -140,7 +142,7 @@ def crossed_score(
         tested = np.flatnonzero(demos.split == "test")
         made.append(replace(rollouts, demo=tested[rollouts.demo]))
         if int(tested[0]) not in beside:
-            others = others_as_rollouts(beside_fold(demos), demos.select(split="test"), SEED)
+            others = others_as_rollouts(demos.select(split="val"), demos.select(split="test"), SEED)
             beside[int(tested[0])] = replace(others, demo=tested[others.demo])
     joined = Rollouts.concatenate(made, method)
     return _score(joined, folds[0][0], Rollouts.concatenate([*beside.values()]), None, resamples)
@@ -204,18 +206,16 @@ def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
         for one in scores
         if one.method not in UNRANKED and np.isfinite(one.energies).any()
     }
-    better, worse = dict.fromkeys(energies, 0), dict.fromkeys(energies, 0)
-    names = list(energies)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            gap = statistics.bootstrap_difference(
-                energies[first], energies[second], np.random.default_rng(SEED), resamples
-            )
-            if gap.excludes_zero and abs(gap.estimate) > ROUNDING:
-                winner, loser = (first, second) if gap.high < 0 else (second, first)
-                better[loser] += 1
-                worse[winner] += 1
-    places = {name: (1 + better[name], len(names) - worse[name]) for name in names}
+    better, worse = Counter[str](), Counter[str]()
+    for first, second in combinations(energies, 2):
+        gap = statistics.bootstrap_difference(
+            energies[first], energies[second], np.random.default_rng(SEED), resamples
+        )
+        if gap.excludes_zero and abs(gap.estimate) > ROUNDING:
+            winner, loser = (first, second) if gap.high < 0 else (second, first)
+            better[loser] += 1
+            worse[winner] += 1
+    places = {name: (1 + better[name], len(energies) - worse[name]) for name in energies}
     return {
         name: f"{best}" if best == worst else f"{best}\u2013{worst}"
         for name, (best, worst) in places.items()
@@ -316,16 +316,8 @@ def _faults(
             f"it is the recording of test episode {demo} itself, frame by frame: "
             "give what the method did from its start"
         )
-    yield from _faults_of_outcome(outcome, path, test)
-
-
-def _faults_of_outcome(outcome: int, path: Floats, test: Demonstrations) -> Iterator[str]:
-    """Yield why an episode cannot have ended so.
-
-    The target, or the source at the origin, was reached if and only if it was in reach at the end;
-    else somebody is out, or the time limit has passed.
-    """
-    species = get_species(test.species)
+    # The target, or the source at the origin, was reached if and only if it was in reach at the
+    # end; else somebody is out, or the time limit has passed.
     radius, goal, movers = species.contact_radius, np.zeros(2), path[-1]
     if "target" in test.roles:
         target = test.roles.index("target")
@@ -339,9 +331,9 @@ def _faults_of_outcome(outcome: int, path: Floats, test: Demonstrations) -> Iter
         yield f"it claims that the goal was reached, which is {distance:.3g} away at the end"
     if outcome == TIME_OUT and distance < radius * (1 - SLACK):
         yield "it ends in reach of the goal and claims that it was not reached"
-    if outcome == TIME_OUT and len(path) <= species.time_limit:
+    if outcome == TIME_OUT and len(path) <= limit:
         yield (
-            f"it claims that time ran out, with {len(path)} of {species.time_limit + 1} "
+            f"it claims that time ran out, with {len(path)} of {limit + 1} "
             "frames: roll out until the episode ends"
         )
     if outcome in (TARGET_OUT, PURSUER_OUT):

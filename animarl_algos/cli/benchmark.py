@@ -27,7 +27,7 @@ from animarl_algos.benchmark.matrix import (
     read_matrix,
 )
 from animarl_algos.benchmark.methods import parse_method
-from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece, Watch, Workers, perform_all
+from animarl_algos.benchmark.pieces import Cell, Clone, Piece, Watch, Workers, perform_all
 from animarl_algos.benchmark.scores import score_submission
 from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_algos.evaluation.statistics import interval
@@ -162,14 +162,11 @@ class Shown(Watch):
         self._running.append(piece.name)
         self._say(piece)
 
-    def ended(self, piece: Piece, done: Done | None) -> None:
+    def ended(self, piece: Piece, error: str | None) -> None:
         self._running.remove(piece.name)
-        if done is None:
-            self._say(piece)
-            return
-        if done.error:
-            self.failed.append((piece, done.error))
-        else:
+        if error:
+            self.failed.append((piece, error))
+        elif error is not None:
             self.progress.advance(self._stages[piece.name])
         self._say(piece)
 

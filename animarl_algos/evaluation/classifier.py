@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import Tracking
 
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 QUARTER = 0.25  # of the median episode: a long window ...
@@ -269,11 +270,14 @@ class Telling:
 
     ``auc`` has a 95 % interval over demonstrations and training sets; where it is undefined (NaN)
     its ``reason`` says why. ``importance`` is by how much the area falls when the features of one
-    kind are shuffled.
+    kind are shuffled. It is read beside ``areas``, and nothing of them is subtracted: those of
+    recordings ``among`` themselves, of closed-loop tracking (``floor``) and of random actions
+    (``ceiling``).
     """
 
     auc: Interval
     importance: Mapping[str, float] = field(default_factory=dict)
+    areas: Mapping[str, Interval] = field(default_factory=dict)
 
 
 def tell_apart(
@@ -453,14 +457,7 @@ def _compare(
 # -- judges of a verdict --------------------------------------------------------------------------
 
 
-class Tracked(Protocol):
-    """Closed-loop tracking of the evaluated demonstrations, frame for frame."""
-
-    @property
-    def positions(self) -> Floats: ...
-
-
-def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
+def followed(demos: Demonstrations, tracking: Tracking) -> Rollouts:
     """The demonstrations as tracking follows them, on the grid on which positions were stored."""
     if tracking.positions.shape != demos.positions.shape:
         raise InputError(
@@ -471,20 +468,8 @@ def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
     return replace(Rollouts.from_demonstrations(demos), positions=stored)
 
 
-class Judged(NamedTuple):
-    """The row of one judge, and what it is read beside; nothing of that is subtracted.
-
-    ``areas`` are those under the curve, by name: of recordings ``among`` themselves, of closed-loop
-    tracking (``floor``) and of random actions (``ceiling``).
-    """
-
-    row: Row
-    areas: Mapping[str, Interval]
-    importance: Mapping[str, float]
-
-
-def _judged(key: str, label: str, found: Telling, areas: Mapping[str, Interval]) -> Judged:
-    auc, among, importance = found.auc, areas.get("among", UNDEFINED), found.importance
+def _row(key: str, label: str, found: Telling) -> Row:
+    auc, among, importance = found.auc, found.areas.get("among", UNDEFINED), found.importance
     judgement = words = SAME
     by = max(importance, key=lambda what: importance[what], default="")
     if not math.isfinite(auc.low):
@@ -495,11 +480,10 @@ def _judged(key: str, label: str, found: Telling, areas: Mapping[str, Interval])
         words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
     elif _errors_above_chance(auc) > MOST_ERRORS:
         judgement, words = DIFFERS, f"distinguished, most of all by {by}"
-    row = Row(
+    return Row(
         **statistics.row_of(auc, measure=key, label=label, judgement=judgement, verdict=words),
         recorded=among.estimate, simulated=auc.estimate, null=among.high,
     )  # fmt: skip
-    return Judged(row, areas, importance)
 
 
 def judges(
@@ -511,7 +495,7 @@ def judges(
     streams: Sequence[np.random.Generator],
     *,
     alone: bool = False,
-) -> Iterator[Judged]:
+) -> Iterator[tuple[Row, Telling]]:
     """Ask about two seconds of motion, then about order in time.
 
     ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
@@ -532,13 +516,13 @@ def judges(
     def judge(
         key: str, of: str, windows: Callable[[Rollouts], Windows], rng: np.random.Generator,
         among: Callable[[Windows], Interval],
-    ) -> Judged:  # fmt: skip
-        own, label = windows(prepared.recorded), f"Distinguished by {of} (AUC)"
+    ) -> tuple[Row, Telling]:  # fmt: skip
+        own = windows(prepared.recorded)
         found = tell_apart(own, windows(counted), rng, importance=not alone, until_clear=alone)
-        if alone:
-            return _judged(key, label, found, {})
-        areas = {name: tell_apart(own, windows(s), rng, deals=1).auc for name, s in sides.items()}
-        return _judged(key, label, found, {"among": among(own), **areas})
+        if not alone:
+            areas = {k: tell_apart(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
+            found = replace(found, areas={"among": among(own), **areas})
+        return _row(key, f"Distinguished by {of} (AUC)", found), found
 
     def others(own: Windows) -> Interval:
         if references is None:

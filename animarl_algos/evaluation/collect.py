@@ -24,15 +24,13 @@ Cue = Literal["actual", "flipped", 0, 1]
 
 
 class Policy(Protocol):
-    """What acts: anything with stable-baselines3's ``predict``, a state per slot included."""
+    """What acts: anything with stable-baselines3's ``predict``, a state per slot included.
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]: ...
+    It is asked by ``observation, state, episode_start, deterministic``.
+    """
+
+    @property
+    def predict(self) -> Callable[..., tuple[Any, Any]]: ...
 
 
 class MemorylessPolicy(ABC):
@@ -42,13 +40,7 @@ class MemorylessPolicy(ABC):
     def act(self, observation: Any) -> NDArray[np.int64]:
         """Return one action per slot."""
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
+    def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, Any]:
         """Return :meth:`act`'s actions, and the state as it is."""
         return self.act(observation), state
 
@@ -64,7 +56,17 @@ class RandomPolicy(MemorylessPolicy):
         return self._rng.integers(self._num_actions, size=len(observation))
 
 
-class Blindfolded:
+class WrappedPolicy:
+    """A policy that does what the one within does, but for what a subclass changes."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.policy, name)
+
+
+class Blindfolded(WrappedPolicy):
     """A policy shown, in the place of each animal's neighbours, those of another animal.
 
     What it is shown moves as neighbours do, and has nothing to do with the animal: whoever reacts
@@ -72,19 +74,15 @@ class Blindfolded:
     several copies, of another episode.
     """
 
-    def __init__(self, policy: Any, names: Sequence[str]) -> None:
-        self._policy = policy
+    def __init__(self, policy: Policy, names: Sequence[str]) -> None:
+        super().__init__(policy)
         self._seen = np.array([name.startswith("other ") for name in names])
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._policy, name)
 
     def predict(self, observation: NDArray[Any], *more: Any, **known: Any) -> tuple[Any, Any]:
         """Return the policy's actions and state."""
         shown, seen = observation.copy(), np.flatnonzero(self._seen)
         shown[:, seen] = np.roll(observation[:, seen], len(observation) // 2 + 1, axis=0)
-        actions, state = self._policy.predict(shown, *more, **known)
-        return actions, state
+        return self.policy.predict(shown, *more, **known)
 
 
 def collect_rollouts(

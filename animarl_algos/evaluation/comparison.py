@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations as ordered_pairs
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.classifier import Tracked
+from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.metrics import (
     METRICS,
     TARGET_REACHED,
@@ -26,24 +26,12 @@ from animarl_algos.evaluation.metrics import (
     measure_recordings,
 )
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
-from animarl_algos.evaluation.statistics import (
-    RESAMPLES,
-    Cells,
-    Draws,
-    Floats,
-    bootstrap_difference,
-    bootstrap_mean,
-    cells,
-    covers,
-    energy_cells,
-    pooled_score,
-    row_of,
-    shared_starts,
-)
+from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws, Floats
 from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.tracking import Tracking
 
 TABLES = ("metrics", "comparison", "pairs")
 NUMBERS = ("fingerprint", "seed", "resamples")
@@ -54,22 +42,15 @@ PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQ
 GATE_LEVEL = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class _Measure:
+class _Measure(NamedTuple):
     """A metric, or its energy score, of every method by seed and start."""
 
     metric: Metric
+    key: str
     counting: str
     data: Mapping[str, Cells]
+    share: bool = False
     truth: Floats | None = None  # recorded values, of an energy score
-
-    @property
-    def key(self) -> str:
-        return self.metric.key if self.truth is None else ENERGY + self.metric.key
-
-    @property
-    def share(self) -> bool:
-        return self.metric.share and self.truth is None
 
 
 def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
@@ -90,13 +71,15 @@ def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
                 for name, rows in methods
                 if metric.of_recordings or name != RECORDED
             }
-            data = {name: cells(*each, num_demos) for name, each in values.items()}
-            yield _Measure(metric, rule, data)
+            data = {name: statistics.cells(*each, num_demos) for name, each in values.items()}
+            yield _Measure(metric, metric.key, rule, data, metric.share)
             if metric.has_distribution and RECORDED in data:
                 truth = data[RECORDED].cell_means[0]
                 del values[RECORDED]
-                scores = {name: energy_cells(*each, truth) for name, each in values.items()}
-                yield _Measure(metric, rule, scores, truth)
+                scores = {
+                    name: statistics.energy_cells(*each, truth) for name, each in values.items()
+                }
+                yield _Measure(metric, ENERGY + metric.key, rule, scores, truth=truth)
 
 
 def comparison_table(
@@ -126,14 +109,17 @@ def comparison_table(
     draws, table = Draws.by(rng, resamples), []
     for each in _measures(metrics, num_demos):
         for name, data in each.data.items():
-            value = bootstrap_mean(data, draws, share=each.share)
-            null = math.nan if each.truth is None else pooled_score(each.truth[data.starts])
+            value = statistics.bootstrap_mean(data, draws, share=each.share)
+            null = (
+                math.nan if each.truth is None else statistics.pooled_score(each.truth[data.starts])
+            )
             table.append(
-                row_of(
+                statistics.row_of(
                     value, method=name, measure=each.key, counting=each.counting,
                     rollouts=int(data.counts.sum()), demos=int(data.starts.sum()),
                     seeds=len(data.counts), null=null,
-                    covers=covers(data) if name != RECORDED else "demonstrations like these",
+                    covers="demonstrations like these"
+                    if name == RECORDED else statistics.covers(data),
                 )
             )  # fmt: skip
     return pd.DataFrame(table)
@@ -168,19 +154,19 @@ def pair_table(
         metric, opened = each.metric, None
         gated = each.truth is not None or not metric.has_distribution
         if planned and metric.planned and each.counting == "all" and gated:
-            data = [cells for name, cells in each.data.items() if name in taking_part]
-            opened = gate([cells.seed_means for cells in shared_starts(data)], rng)
+            data = [one for name, one in each.data.items() if name in taking_part]
+            opened = gate([one.seed_means for one in statistics.shared_starts(data)], rng)
         for first, second in ordered_pairs(each.data, 2):
             if first == RECORDED:
                 continue
             one, other = each.data[first], each.data[second]
-            gap = bootstrap_difference(one, other, draws, share=each.share)
+            gap = statistics.bootstrap_difference(one, other, draws, share=each.share)
             same = (one.starts == other.starts).all()
-            row = row_of(
+            row = statistics.row_of(
                 gap, measure=each.key, counting=each.counting, first=first, second=second,
                 demos=int((one.starts & other.starts).sum()),
                 pairing="paired, same starts" if same else "paired, shared starts only",
-                covers=covers(one) if second == RECORDED else covers(one, other), gate="",
+                covers=statistics.covers(one, *([] if second == RECORDED else [other])), gate="",
                 gate_p=math.nan,
             )  # fmt: skip
             if opened is not None and (first, second) in planned:
@@ -296,7 +282,7 @@ def evaluate(
     *,
     seed: int,
     learner: str | None = None,
-    floor: Tracked | None = None,
+    floor: Tracking | None = None,
     references: Demonstrations | None = None,
     resamples: int = RESAMPLES,
 ) -> Evaluation:

@@ -14,7 +14,7 @@ from typing import Any
 import pandas as pd
 
 from animarl_algos.evaluation.order_in_time import MEASURES, lags_for, median_steps, seconds_of
-from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared
+from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared, ending
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -50,9 +50,9 @@ class Metric:
         Planned pairs of methods have a gate by it.
     caption, heading
         Of its figure in the report, and of its column in the terminal; not shown there without.
-    compared, judged, on_board
-        Where it is shown: in the table of episodes and the comparison, in the verdict, and on the
-        leaderboard.
+    compared
+        Whether it is in the table of episodes, in the comparison and on the leaderboard, beside the
+        verdict.
     is_ending
         Of how an episode ended: no row in the verdict where neither side knows it.
     about
@@ -78,8 +78,6 @@ class Metric:
     caption: str = ""
     heading: str = ""
     compared: bool = True
-    judged: bool = True
-    on_board: bool = True
     is_ending: bool = False
     about: str = ""
     of_order: str = ""
@@ -104,66 +102,6 @@ class Metric:
         return self.of_recordings and not self.share
 
 
-TARGET_REACHED = Metric(
-    key="reached",
-    label="Target reached",
-    unit="share",
-    measure=lambda episodes: episodes.rollouts.captured.astype(float),
-    share=True,
-    is_ending=True,
-    about=GOAL,
-    too_much="reaches the target too often",
-    too_little="reaches the target too rarely",
-    caption="Share of episodes in which a pursuer reached the target (the moth the source), all "
-    "episodes.",
-    heading="target\nreached, %",
-)
-PATH_LENGTH = Metric(
-    key="path_length",
-    label="Path length",
-    unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.path_length,
-    planned=True,
-    too_much="paths too long",
-    too_little="paths too short",
-    noun="path lengths",
-    caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, and "
-    "captures only.",
-    heading="path length",
-)
-DURATION = Metric(
-    key="duration",
-    label="Duration",
-    unit="s",
-    measure=lambda episodes: episodes.duration,
-    planned=True,
-    too_much="episodes too long",
-    too_little="episodes too short",
-    noun="durations",
-    caption="Duration per episode: all episodes, and captures only.",
-    heading="duration, s",
-)
-DTW_PER_STEP = Metric(
-    key="dtw_per_step",
-    label="DTW distance per step",
-    unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.dtw[1],
-    of_recordings=False,
-)
-DTW = Metric(
-    key="dtw",
-    label="DTW distance",
-    unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.dtw[0],
-    of_recordings=False,
-    planned=True,
-    caption="Distance of each rollout to the demonstration that it started from after the best "
-    "alignment in time (dynamic time warping, DTW), mean over the "
-    "pursuers (or the moth's), summed along the warping path: all episodes, and captures only.",
-    heading="DTW distance",
-)
-
-
 def _of_verdict(
     key: str, label: str, unit: str, measure: Measure, much: str, little: str,
     **more: Any,
@@ -171,13 +109,13 @@ def _of_verdict(
     """A metric that the verdict judges and the comparison of methods leaves out."""
     return Metric(
         key=key, label=label, unit=unit, measure=measure, too_much=much, too_little=little,
-        compared=False, on_board=key == "mean_speed", **more,
+        compared=False, **more,
     )  # fmt: skip
 
 
 def _ended(key: str, label: str, end: int, much: str, little: str) -> Metric:
     return _of_verdict(
-        key, label, "share", lambda e: (e.ending == end).astype(float), much, little,
+        key, label, "share", lambda e: (ending(e.rollouts) == end).astype(float), much, little,
         share=True, is_ending=True, about=GOAL,
     )  # fmt: skip
 
@@ -196,11 +134,27 @@ def _order_of(name: str) -> Measure:
 
 
 METRICS = [
-    TARGET_REACHED,
-    PATH_LENGTH,
-    DURATION,
-    DTW,
-    DTW_PER_STEP,
+    Metric(key="reached", label="Target reached", unit="share", share=True, is_ending=True,
+           measure=lambda e: e.rollouts.captured.astype(float), about=GOAL,
+           too_much="reaches the target too often", too_little="reaches the target too rarely",
+           heading="target\nreached, %",
+           caption="Share of episodes in which a pursuer reached the target (the moth the source), "
+                   "all episodes."),
+    Metric(key="path_length", label="Path length", unit=ARENA_UNITS, planned=True,
+           measure=lambda e: e.path_length, noun="path lengths", heading="path length",
+           too_much="paths too long", too_little="paths too short",
+           caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, "
+                   "and captures only."),
+    Metric(key="duration", label="Duration", unit="s", measure=lambda e: e.duration, planned=True,
+           too_much="episodes too long", too_little="episodes too short", noun="durations",
+           heading="duration, s", caption="Duration per episode: all episodes, and captures only."),
+    Metric(key="dtw", label="DTW distance", unit=ARENA_UNITS, of_recordings=False, planned=True,
+           measure=lambda e: e.dtw[0], heading="DTW distance",
+           caption="Distance of each rollout to the demonstration that it started from after the "
+                   "best alignment in time (dynamic time warping, DTW), mean over the pursuers (or "
+                   "the moth's), summed along the warping path: all episodes, and captures only."),
+    Metric(key="dtw_per_step", label="DTW distance per step", unit=ARENA_UNITS,
+           measure=lambda e: e.dtw[1], of_recordings=False),
     _ended("target_out", "Ended by the target leaving", TARGET_OUT,
            "the target leaves too often", "the target leaves too rarely"),
     _ended("pursuer_out", "Ended by a pursuer leaving", PURSUER_OUT,
@@ -229,6 +183,7 @@ METRICS = [
     _of_order("rests", "length of rests", ANIMAL),
 ]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
+TARGET_REACHED, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP = METRICS[:5]
 
 
 def judged_metrics(recorded: Episodes) -> list[Metric]:
@@ -238,7 +193,7 @@ def judged_metrics(recorded: Episodes) -> list[Metric]:
     """
     chosen = []
     for metric in _of_kind(recorded):
-        if not (metric.judged and metric.of_recordings):
+        if not metric.of_recordings:
             continue
         if metric.of_order.endswith((" in", " at")):
             for lag in lags_for(median_steps(recorded), recorded.dt):

@@ -167,11 +167,6 @@ class EpisodeMeasures:
         """Return the measure of that name of every episode, ``(episodes,)``."""
         return np.asarray(self.values[:, self.names.index(name)])
 
-    def mean(self, name: str) -> Floats:
-        """Means over episodes of those measures whose name begins so."""
-        chosen = [one.startswith(name) for one in self.names]
-        return _mean(self.values[:, chosen], axis=0)
-
 
 def lags_for(steps: float, dt: float) -> tuple[int, ...]:
     """Return the lags [steps] at which episodes of so many steps can be looked at."""
@@ -403,9 +398,6 @@ def _bouts(moving: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
 
 def _longest(true: NDArray[np.bool_]) -> Floats:
     """Length of the longest uninterrupted stretch of each column [steps]."""
-    current = np.zeros(true.shape[::2])
-    longest = np.zeros_like(current)
-    for step in range(true.shape[1]):
-        current = np.where(true[:, step], current + 1, 0.0)
-        np.maximum(longest, current, out=longest)
-    return longest
+    count = true.cumsum(axis=1)
+    before = np.maximum.accumulate(np.where(true, 0, count), axis=1)
+    return np.asarray((count - before).max(axis=1, initial=0), dtype=np.float64)

@@ -118,11 +118,6 @@ class MeasuredEpisodes:
         """``(rollouts,)`` [s]."""
         return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
 
-    @cached_property
-    def ending(self) -> NDArray[np.int64]:
-        """``(rollouts,)``: reached, target out, pursuer out, or neither."""
-        return ending(self.rollouts)
-
     @property
     def outside(self) -> NDArray[np.bool_]:
         """``(rollouts,)``, whether somebody was outside the arena, or left it.
@@ -134,7 +129,7 @@ class MeasuredEpisodes:
         margin = 0.0 if grid is None else grid.reach
         inside = demos.arena.contains(self.rollouts.positions, margin=margin)
         ever = np.logical_or.reduceat(~inside.all(axis=1), self.rollouts.offsets[:-1])
-        return np.asarray(ever | np.isin(self.ending, (TARGET_OUT, PURSUER_OUT)))
+        return np.asarray(ever | np.isin(self.rollouts.outcome, (TARGET_OUT, PURSUER_OUT)))
 
     @cached_property
     def motion(self) -> Floats:
@@ -232,14 +227,9 @@ def resting_step(recorded: Rollouts) -> Floats:
 
 def tracking_noise(recorded: Rollouts) -> float:
     """Standard deviation of white noise of the recorded positions, per axis [arena unit]."""
-    products = []
-    for index in range(len(recorded)):
-        bend = np.diff(recorded.path(index), n=2, axis=0)
-        if len(bend) > 1:
-            products.append((bend[1:] * bend[:-1]).ravel())
-    if not products:
-        return 0.0
-    return float(np.sqrt(max(0.0, -np.concatenate(products).mean() / 4.0)))
+    bends = [np.diff(recorded.path(index), n=2, axis=0) for index in range(len(recorded))]
+    products = np.concatenate([(bend[1:] * bend[:-1]).ravel() for bend in bends])
+    return float(np.sqrt(max(0.0, -products.mean() / 4.0))) if len(products) else 0.0
 
 
 def slow_speeds(recorded: Rollouts) -> Floats:
@@ -251,11 +241,8 @@ def slow_speeds(recorded: Rollouts) -> Floats:
     speeds = recorded.speeds()
     if recorded.is_group:  # animals of a group are alike
         speeds = np.repeat(speeds.reshape(-1, 1), speeds.shape[1], axis=1)
-    limit = np.zeros(speeds.shape[1])
-    for k, speed in enumerate(speeds.T):
-        moving = speed[speed > RESTING_SHARE * np.quantile(speed, 0.99)]
-        limit[k] = SLOW_SHARE * np.median(moving) if moving.size else 0.0
-    return limit
+    moving = (one[one > RESTING_SHARE * np.quantile(one, 0.99)] for one in speeds.T)
+    return np.array([SLOW_SHARE * np.median(one) if one.size else 0.0 for one in moving])
 
 
 def ending(rollouts: Rollouts) -> NDArray[np.int64]:

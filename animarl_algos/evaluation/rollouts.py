@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
@@ -15,18 +15,6 @@ from animarl_envs.errors import InputError
 
 RECORDED = "recorded"
 NO_CUE = -1  # the policy was told no condition
-
-
-def copies(demo: Sequence[int], seed: Sequence[int], did: Sequence[Hashable]) -> NDArray[np.bool_]:
-    """Whether a policy did the same from a start before: ``(rollouts,)``.
-
-    Only where all policies (``seed``) always do the same from a start (``demo``). Who acts by
-    chance may repeat itself too, as an animal that rests; there each rollout counts, or what is
-    seldom done would weigh more than it should.
-    """
-    first: dict[tuple[int, int, Hashable], int] = {}
-    repeats = [first.setdefault(one, i) < i for i, one in enumerate(zip(demo, seed, did))]
-    return np.array(repeats) & (len(first) == len(set(zip(demo, seed))))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,9 +78,17 @@ class Rollouts(Episodes):
 
     @cached_property
     def copies(self) -> NDArray[np.bool_]:
-        """Those to leave out of a null, see :func:`copies`: ``(rollouts,)``."""
-        paths = [self.path(i).tobytes() for i in range(len(self))]
-        return copies(self.demo.tolist(), self.seed.tolist(), paths)
+        """Those to leave out of a null, as the policy did the same before: ``(rollouts,)``.
+
+        Only where all policies (``seed``) always do the same from a start (``demo``). Who acts by
+        chance may repeat itself too, as an animal that rests; there each rollout counts, or what is
+        seldom done would weigh more than it should.
+        """
+        starts = list(zip(self.demo.tolist(), self.seed.tolist()))
+        did = [(*start, self.path(i).tobytes()) for i, start in enumerate(starts)]
+        first: dict[tuple[int, int, bytes], int] = {}
+        repeats = [first.setdefault(one, i) < i for i, one in enumerate(did)]
+        return np.array(repeats) & (len(first) == len(set(starts)))
 
     def is_factual(self, recorded: Demonstrations) -> NDArray[np.bool_]:
         """Whether the world is in the recorded condition, and the policy was told so or nothing."""

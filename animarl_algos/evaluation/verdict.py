@@ -19,21 +19,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE, Tracked, followed, judges
+from animarl_algos.evaluation import statistics
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE, followed, judges
 from animarl_algos.evaluation.metrics import measures
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
-    Floats,
-    Interval,
-    Ints,
-    bootstrap_mean,
-    energy_scores,
-    interval,
-    single_cells,
-)
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints, interval
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
     CONTROLS,
@@ -48,6 +40,7 @@ from animarl_algos.evaluation.verdict_rows import (
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.tracking import Tracking
 
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
@@ -80,7 +73,7 @@ class Verdict:
         Frames of the moving average that both sides went through.
     areas
         By judge and name the areas that theirs are read beside
-        (:class:`~animarl_algos.evaluation.classifier.Judged`).
+        (:class:`~animarl_algos.evaluation.classifier.Telling`).
     components
         The realism score, see :func:`~animarl_algos.evaluation.realism.realism`.
     importance
@@ -202,7 +195,7 @@ def verdict(
     rollouts: Rollouts,
     *,
     seed: int,
-    floor: Tracked | None = None,
+    floor: Tracking | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
 ) -> Verdict:
@@ -241,7 +234,7 @@ def verdict(
     sides |= {} if floor is None else {"floor": followed(recorded, floor)}
     beside = {name: prepared.filtered(one) for name, one in sides.items()}
     asked = [*judges(prepared, counted, beside, references, unit, (*streams[1:3], streams[4]))]
-    rows += [judge.row for judge in asked]
+    rows += [row for row, _ in asked]
     others = None
     if references is not None:
         others = prepared.filtered(Rollouts.from_demonstrations(references))
@@ -250,8 +243,15 @@ def verdict(
     )
     words, untrained = _overall(rows), baselines.get("untrained")
     if untrained is not None and words != (SAME,):
-        farther = _farther(prepared, counted, prepared.counted(untrained), streams[3])
-        words = (WORSE, *words) if farther else words
+        # By the energy score of the summary; the interval over starts must exclude no difference.
+        true = summary_table(prepared, prepared.recorded)
+        ours, other = (
+            statistics.energy_scores(summary_table(prepared, one), one.demo, true)
+            for one in (counted, prepared.counted(untrained))
+        )
+        apart = statistics.single_cells((ours - other)[None])
+        if statistics.bootstrap_mean(apart, streams[3]).low > 0:
+            words = (WORSE, *words)
     table = pd.DataFrame(rows)
     starts = np.unique(counted.demo)
     numbers = {"test start": len(starts), "recording": len(np.unique(recorded.recording[starts]))}
@@ -264,9 +264,9 @@ def verdict(
         rollouts=int(np.count_nonzero(~counted.copies)),
         too_little=f"{few[0]}, and {FEWEST} are needed" if few else "",
         smoothing=prepared.smoothing,
-        areas={judge.row.measure: dict(judge.areas) for judge in asked},
+        areas={row.measure: dict(found.areas) for row, found in asked},
         components=components,
-        importance=asked[0].importance,
+        importance=asked[0][1].importance,
     )
 
 
@@ -289,19 +289,6 @@ def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
     """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
     true, found = (measures(prepared, side) for side in (prepared.recorded, rollouts))
     return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
-
-
-def _farther(prepared: Prepared, ours: Rollouts, other: Rollouts, rng: np.random.Generator) -> bool:
-    """Whether our rollouts are farther from the recordings than others from the same starts.
-
-    By the energy score of the summary; the 95 % interval of the difference over starts must
-    exclude none.
-    """
-    recorded = summary_table(prepared, prepared.recorded)
-    scores = [
-        energy_scores(summary_table(prepared, one), one.demo, recorded) for one in (ours, other)
-    ]
-    return bootstrap_mean(single_cells(np.subtract(*scores)[None]), rng).low > 0
 
 
 def implausible(verdict: Verdict) -> list[str]:

@@ -47,7 +47,7 @@ SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
 )  # fmt: skip
 EXCHANGES = 1000
 CHANCE = 0.05
-FLOOR = 0.1  # of the mean variance over exchanges: no standard error is much smaller
+FLOOR = 0.1  # of the mean variance over exchanges: values of few recordings may be alike
 LEVEL = 0.03  # of all measures together
 ENDINGS_LEVEL = 0.01  # of the endings together
 LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
@@ -83,12 +83,14 @@ class Tested(NamedTuple):
 class Exchanges:
     """Which episode of every start is called the recorded one.
 
-    Both are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth. Episodes
-    are the recordings in their order, then the rollouts in theirs, without those that do not count.
+    Both sides are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth.
+    Episodes are the recordings in their order, then the rollouts in theirs, without those that do
+    not count; ``start`` ``(episodes,)`` is where each began.
     """
 
     recorded: Floats
     simulated: Floats
+    start: Ints
 
     @classmethod
     def draw(
@@ -98,7 +100,7 @@ class Exchanges:
         rng: np.random.Generator,
         exchanges: int = EXCHANGES,
         *,
-        copies: ArrayLike | None = None,
+        copies: ArrayLike = False,
     ) -> Exchanges:
         """Exchanges for rollouts from the starts ``demo`` ``(rollouts,)``.
 
@@ -112,8 +114,7 @@ class Exchanges:
         recorded, simulated = np.zeros((2, 1 + exchanges, len(start)))
         rows = np.arange(1 + exchanges)
         counts = np.ones(len(start), dtype=bool)
-        if copies is not None:
-            counts[starts:] = ~np.asarray(copies)
+        counts[starts:] = np.logical_not(copies)
         for one in np.unique(demo):
             members = np.flatnonzero((start == one) & counts)  # the recording is the first
             chosen = rng.integers(len(members), size=1 + exchanges)
@@ -121,7 +122,7 @@ class Exchanges:
             simulated[:, members] = 1.0
             recorded[rows, members[chosen]] = 1.0
             simulated[rows, members[chosen]] = 0.0
-        return cls(recorded, simulated)
+        return cls(recorded, simulated, start)
 
     def chi_squared(self, category: ArrayLike) -> Tested:
         """Pearson's statistic of categories by recorded and simulated, however small the counts."""
@@ -178,7 +179,6 @@ def exchange_test(
     exchanges: Exchanges,
     *,
     level: float = CHANCE,
-    start: Ints | None = None,
     group: Ints | None = None,
     rng: np.random.Generator | None = None,
 ) -> ExchangeTest:
@@ -191,11 +191,10 @@ def exchange_test(
         measure is undefined in an episode, which then does not count.
     exchanges, level
         The null, and the level at which measures are said to differ.
-    start, group, rng
-        Where several recordings are of one animal: ``(episodes,)`` start of each episode, and
-        ``(starts,)`` the animal of each. The null then turns the sign of all differences of an
-        animal together (a sign-flip test), as what its recordings have in common is no evidence
-        beyond one animal.
+    group, rng
+        Where several recordings are of one animal: ``(starts,)`` the animal of each. The null then
+        turns the sign of all differences of an animal together (a sign-flip test), as what its
+        recordings have in common is no evidence beyond one animal.
     """
     known = np.isfinite(values)
     filled = np.where(known, values, 0.0)
@@ -204,9 +203,13 @@ def exchange_test(
             side @ filled / (side @ known) for side in (exchanges.recorded, exchanges.simulated)
         ]
         gap = means[1] - means[0]
-        scale = _standard_errors(filled, known, exchanges, means)
-        if start is not None and group is not None and rng is not None:
-            gap, scale = _flipped_gaps(values, exchanges, start, group, rng), np.ones_like(gap)
+        square = np.zeros(gap.shape)  # of standard errors, after Welch
+        for side, mean in zip((exchanges.recorded, exchanges.simulated), means):
+            number = side @ known
+            square += np.maximum(side @ filled**2 / number - mean**2, 0.0) / number
+        scale = np.sqrt(square + FLOOR * np.nan_to_num(square[1:]).mean(axis=0))
+        if group is not None and rng is not None:
+            gap, scale = _flipped_gaps(values, exchanges, group, rng), np.ones_like(gap)
         # Differences of rounding only are none.
         tiny = 1e-9 * np.maximum(np.nanmax(np.abs(filled), axis=0), 1e-300)
         some = np.isfinite(gap[1:]).any(axis=0)  # episodes may be too short for a measure
@@ -225,28 +228,14 @@ def exchange_test(
     return ExchangeTest(means[0][0], means[1][0], scaled[0], adjusted, null, level)
 
 
-def _standard_errors(
-    filled: Floats, known: NDArray[np.bool_], exchanges: Exchanges, means: list[Floats]
-) -> Floats:
-    """Standard errors of the difference of both means, ``(1 + exchanges, measures)``, after Welch.
-
-    A share (``FLOOR``) of the mean variance is added, as the values of few recordings may be alike.
-    """
-    square = np.zeros(means[0].shape)
-    for side, mean in zip((exchanges.recorded, exchanges.simulated), means):
-        number = side @ known
-        square = square + np.maximum(side @ filled**2 / number - mean**2, 0.0) / number
-    return np.asarray(np.sqrt(square + FLOOR * np.nan_to_num(square[1:]).mean(axis=0)))
-
-
 def _flipped_gaps(
-    values: Floats, exchanges: Exchanges, start: Ints, group: Ints, rng: np.random.Generator
+    values: Floats, exchanges: Exchanges, group: Ints, rng: np.random.Generator
 ) -> Floats:
     """Return the mean difference, then those with the signs of whole animals turned."""
     starts = len(group)
     known = np.isfinite(values) & (exchanges.simulated[0] > 0)[:, None]
     owner = np.zeros((starts, len(values)))
-    owner[start, np.arange(len(values))] = 1.0
+    owner[exchanges.start, np.arange(len(values))] = 1.0
     rollouts = owner @ np.where(known, values, 0.0) / (owner @ known)
     apart = rollouts - np.where(exchanges.recorded[0, :starts, None] > 0, values[:starts], np.nan)
     there = np.isfinite(apart)
@@ -338,8 +327,7 @@ class JointTests:
         )
         values = np.concatenate([np.stack([*columns.values()], axis=1), later], axis=1)
         exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
-        start = np.concatenate([np.arange(starts), counted.demo])
-        test = exchange_test(values, exchanges, level=LEVEL, start=start, group=group, rng=rng)
+        test = exchange_test(values, exchanges, level=LEVEL, group=group, rng=rng)
         ends = ending(prepared.recorded), ending(counted)
         endings = exchanges.chi_squared(np.concatenate(ends))
         found = order_in_time.EpisodeMeasures(tested, values)

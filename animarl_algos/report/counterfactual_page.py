@@ -62,7 +62,7 @@ class CounterfactualInputs(PageInputs):
 def counterfactual_page(inputs: CounterfactualInputs) -> page.Page:
     """Return the page: what is claimed and the player, then shifts and how it was made."""
     names = list(map(method_label, inputs.asked))
-    said = [page.Sentences(list(findings(inputs))), page.Sentences(list(cautions(inputs)))]
+    said = [page.Text([*some], "sentences") for some in (findings(inputs), cautions(inputs))]
     seeds = [
         (method_label(name), f"seeds {', '.join(map(str, some))}")
         for name, some in inputs.seeds.items()
@@ -79,7 +79,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> page.Page:
         ],
         player=_player(inputs),
         sections=[
-            page.Section("findings", "In short", [block for block in said if block.sentences]),
+            page.Section("findings", "In short", [block for block in said if block.text]),
             page.Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
             page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
         ],
@@ -220,8 +220,9 @@ def _player(inputs: CounterfactualInputs) -> page.Player:
         views.append(player.view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
     views.append(player.view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
     scenes = list(_scenes(inputs))
-    chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
-    return player.play(inputs, scenes, views, player.of_starts(len(scenes), chosen))
+    said = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}."
+    said = f"{len(scenes)} test starts, all different, {said}"
+    return player.play(inputs, scenes, views, said)
 
 
 def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:
@@ -240,10 +241,5 @@ def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:
             of = {RECORDED: prepared.recorded, FACTUAL: trained.factual, FLIPPED: trained.flipped}
             if inputs.teams is not None:
                 of[TEAM] = inputs.teams[1 - condition]
-            tracks = {
-                kind: player.track(
-                    some, int(np.flatnonzero(some.demo == start)[0])
-                )  # its first rollout
-                for kind, some in of.items()
-            }
-            yield player.Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
+            first = {k: (some, int(np.argmax(some.demo == start))) for k, some in of.items()}
+            yield f"Start {start}, {inputs.condition(condition)}", first

@@ -98,7 +98,16 @@ def interval_rows(
             colour = (colours or {}).get(name) or style.method_colour(name, row)
             if name in found and len(sample := found[name][np.isfinite(found[name])]):
                 _draw_values(panel, sample, base, colour)
-            draw_interval(panel, means[name], base, colour)
+            value, ground = means[name], style.PAGE.hex
+            if np.isfinite(value.low):  # ringed in the ground so that it stands out
+                ends = [value.low, value.high]
+                panel.plot(ends, [base, base], color=ground, linewidth=4.2, zorder=3)
+                panel.plot(ends, [base, base], color=colour, linewidth=2.2, zorder=3.1)
+            if np.isfinite(value.estimate):
+                panel.plot(
+                    value.estimate, base, "o", color=colour, markersize=6.2, markeredgecolor=ground,
+                    markeredgewidth=1.2, zorder=3.2,
+                )  # fmt: skip
         if reference is not None and np.isfinite(reference):
             panel.axvline(reference, **REFERENCE)
         panel.set_yticks(range(len(names)), [label(name) for name in reversed(names)])
@@ -127,21 +136,6 @@ def _draw_values(panel: Axes, sample: Floats, base: float, colour: str) -> None:
     panel.plot(
         dots, base - 0.12 - 0.18 * offsets, ".", color=colour, markersize=2.4, alpha=0.55,
         markeredgewidth=0, rasterized=True,
-    )  # fmt: skip
-
-
-def draw_interval(panel: Axes, value: Interval, base: float, colour: str) -> None:
-    """Draw a mean as a dot with its interval, ringed in the ground so that it stands out."""
-    if not np.isfinite(value.estimate):
-        return
-    ground = style.PAGE.hex
-    if np.isfinite(value.low):
-        ends = [value.low, value.high]
-        panel.plot(ends, [base, base], color=ground, linewidth=4.2, zorder=3)
-        panel.plot(ends, [base, base], color=colour, linewidth=2.2, zorder=3.1)
-    panel.plot(
-        value.estimate, base, "o", color=colour, markersize=6.2, markeredgecolor=ground,
-        markeredgewidth=1.2, zorder=3.2,
     )  # fmt: skip
 
 

@@ -132,7 +132,7 @@ def provenance(
     demos = inputs.demos
     if inputs.command:
         yield Text(f"To repeat this {page}:")
-        yield Text.command(inputs.command)
+        yield Text(inputs.command, "command")
     stated, *told = origin(demos)
     times = [(f"wall time, {stage}", duration(s)) for stage, s in inputs.wall_time.items()]
     for title, entries in {
@@ -177,10 +177,10 @@ def to_paste(inputs: PageInputs, methods: Sequence[str]) -> Iterator[Block]:
         "  license = {MIT}",
         "}",
     ]
-    yield Text.heading("For the methods section")
-    yield Text.command(" ".join([begin, *methods]))
-    yield Text.heading("To cite")
-    yield Text.command("\n".join([PAPER, "", *software]))
+    yield Text("For the methods section", "heading")
+    yield Text(" ".join([begin, *methods]), "command")
+    yield Text("To cite", "heading")
+    yield Text("\n".join([PAPER, "", *software]), "command")
 
 
 def origin(demos: Demonstrations) -> list[tuple[str, str]]:

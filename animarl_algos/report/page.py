@@ -27,6 +27,11 @@ SCRIPTS = (
     "themes.js", "tables.js", "downloads.js", "paths.js", "stage.js", "player.js", "start.js",
 )  # fmt: skip
 """In this order, inside one function: a later one uses what an earlier one defines."""
+POLICY = (
+    "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
+    "img-src data: blob:"
+)
+"""What the browser lets the page do: run its script and load nothing."""
 PAGE_FILE, FIGURES = "report.html", "figures"
 LONGEST_NAME = 60  # of a figure's file
 FORMATS: dict[str, dict[str, Any]] = {
@@ -41,24 +46,10 @@ FORMATS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph or, by its kind, a heading, a sentence of a list, or text to copy."""
+    """A paragraph or, by its kind, a heading, a command to copy, or a list of sentences."""
 
-    text: str
+    text: str | Sequence[str]
     kind: str = "text"
-
-    @classmethod
-    def heading(cls, text: str) -> Text:
-        return cls(text, "heading")
-
-    @classmethod
-    def command(cls, text: str) -> Text:
-        return cls(text, "command")
-
-
-@dataclass(frozen=True)
-class Sentences:
-    kind: ClassVar[str] = "sentences"
-    sentences: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -99,7 +90,7 @@ class Pairs:
     entries: Sequence[tuple[str, str]]
 
 
-Block = Text | Sentences | Gallery | Table | Pairs
+Block = Text | Gallery | Table | Pairs
 
 
 def tabulate(
@@ -188,20 +179,22 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        program = script()
+        parts = [(TEMPLATES / name).read_text(encoding="utf-8").strip() for name in SCRIPTS]
+        # One function, so that no name is left behind; the browser lets the page run it alone.
+        program = "\n".join(["(() => {", '"use strict";', *parts, "})();"])
+        digest = base64.b64encode(hashlib.sha256(f"\n{program}\n".encode()).digest()).decode()
         return environment.get_template("page.html.j2").render(
             page=self,
             colours=[(c.name, to_hex(c.light), to_hex(c.dark)) for c in COLOURS],
             player_data=None if self.player is None else as_data(self.player.data),
             script=program,
-            policy=policy(program),
+            policy=POLICY.format(digest=digest),
         )
 
     def write(self, folder: Path) -> None:
         """Write the page as ``report.html``, and every figure of it into ``figures``."""
         write_page(self, folder / PAGE_FILE)
         for name, image in self.figures():
-            assert image.figure is not None  # of a page that was just drawn
             image.figure.set_layout_engine(None)  # placed when the page drew it
             for suffix, options in FORMATS.items():
                 file = folder / FIGURES / f"{name}.{suffix}"
@@ -224,21 +217,6 @@ def write_page(page: Page, path: Path) -> Path:
     with write_then_rename(path) as part:
         part.write_text(html, encoding="utf-8")
     return path
-
-
-def script() -> str:
-    """Return all scripts as one function, so that they leave no name behind."""
-    parts = [(TEMPLATES / name).read_text(encoding="utf-8").strip() for name in SCRIPTS]
-    return "\n".join(["(() => {", '"use strict";', *parts, "})();"])
-
-
-def policy(program: str) -> str:
-    """Return what the browser lets the page do: run this script and load nothing."""
-    digest = base64.b64encode(hashlib.sha256(f"\n{program}\n".encode()).digest()).decode()
-    return (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
-        "img-src data: blob:"
-    )
 
 
 def as_data(value: Any) -> str:

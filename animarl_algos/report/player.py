@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,18 +28,8 @@ LEVELS = 65_535  # of a packed coordinate, across the box that holds the scene
 RECORDED, SIMULATED = "recorded", "simulated"
 
 
-class Track(NamedTuple):
-    """One episode: ``(frames, individuals, 2)`` [arena unit], and how it ended."""
-
-    path: Floats
-    ending: str
-
-
-class Scene(NamedTuple):
-    """One start: its tracks by kind."""
-
-    title: str
-    tracks: dict[str, Track]
+Scene = tuple[str, dict[str, tuple[Rollouts, int]]]
+"""One start: its title and, by kind of track, an episode as rollouts and which of them."""
 
 
 def run_player(inputs: ReportInputs) -> Player:
@@ -50,12 +40,12 @@ def run_player(inputs: ReportInputs) -> Player:
     for condition, chosen in examples(inputs, middles(each)):
         for i in chosen:
             start = int(rollouts.demo[i])
-            tracks = {RECORDED: track(demos, start), SIMULATED: track(rollouts, i)}
-            scenes.append(Scene(f"Start {start}{f', {condition}' if condition else ''}", tracks))
+            title = f"Start {start}{f', {condition}' if condition else ''}"
+            scenes.append((title, {RECORDED: (demos, start), SIMULATED: (rollouts, i)}))
     learner = method_label(inputs.learner)
     views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
-    chosen_by = "from rollouts near their recording to far from it (DTW distance)"
-    return play(inputs, scenes, views, of_starts(len(scenes), chosen_by))
+    said = "from rollouts near their recording to far from it (DTW distance)."
+    return play(inputs, scenes, views, f"{len(scenes)} test starts, all different, {said}")
 
 
 def play(
@@ -63,14 +53,14 @@ def play(
 ) -> Player:
     """Return a player of any scenes; the caption begins with what is ``said`` of them."""
     demos, stage = inputs.demos, inputs.stage
-    numbers = sum(t.path.size for s in scenes for t in s.tracks.values())
+    numbers = sum(made.path(i).size for _, tracks in scenes for made, i in tracks.values())
     stride = max(1, -(-numbers * 8 // (3 * BUDGET)))  # two bytes a number, four characters for 3
     data = {
         "dt": demos.dt * stride,
         "unit": inputs.words.unit.name,
         **_world(stage),
         "views": list(views),
-        "scenes": [_packed(scene, stage, stride) for scene in scenes],
+        "scenes": [_packed(*scene, stage, stride) for scene in scenes],
     }
     walls = "The dashed outline is the edge of the field; there is no wall."
     if stage.arena.shape == "open":
@@ -115,18 +105,16 @@ def _world(stage: Stage) -> dict[str, Any]:
     }
 
 
-def track(rollouts: Rollouts, i: int) -> Track:
-    """Return an episode, and its ending in words."""
-    return Track(rollouts.path(i), outcome_name(int(rollouts.outcome[i]), rollouts))
-
-
-def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
+def _packed(
+    title: str, tracks: dict[str, tuple[Rollouts, int]], stage: Stage, stride: int
+) -> dict[str, Any]:
     """A scene as plain data; paths as 16-bit numbers across the box that holds them, in base64."""
-    points = np.concatenate([t.path.reshape(-1, 2) for t in scene.tracks.values()])
+    paths = {kind: made.path(i) for kind, (made, i) in tracks.items()}
+    points = np.concatenate([path.reshape(-1, 2) for path in paths.values()])
     low = points.min(axis=0)
     span = float((points.max(axis=0) - low).max()) or 1.0
-    moved = [t.path for kind, t in scene.tracks.items() if kind != RECORDED]
-    shown = view_of(stage.arena, scene.tracks[RECORDED].path, *moved)
+    moved = [path for kind, path in paths.items() if kind != RECORDED]
+    shown = view_of(stage.arena, paths[RECORDED], *moved)
     unit = stage.words.unit
     length, label = round_length(shown[2] * unit.per_arena_unit / 2, unit.name)
 
@@ -135,20 +123,15 @@ def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
         return base64.b64encode(levels.tobytes()).decode()
 
     return {
-        "title": scene.title,
+        "title": title,
         "view": [round(v, 6) for v in shown],
         "bar": {"length": length / unit.per_arena_unit, "label": label},
         "box": [float(low[0]), float(low[1]), span / LEVELS],
         "tracks": {
-            kind: {"path": pack(track.path), "ending": track.ending}
-            for kind, track in scene.tracks.items()
+            kind: {"path": pack(paths[kind]), "ending": outcome_name(int(made.outcome[i]), made)}
+            for kind, (made, i) in tracks.items()
         },
     }
-
-
-def of_starts(count: int, chosen: str) -> str:
-    """Return what is said of so many scenes, and how they were chosen."""
-    return f"{count} test starts, all different, {chosen}."
 
 
 def at_ranks(values: ArrayLike, starts: ArrayLike, quantiles: Sequence[float]) -> NDArray[np.int64]:

@@ -159,7 +159,7 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
     )
     measured = set(evaluation.comparison["measure"])
     for metric in (m for m in METRICS if m.caption and m.key in measured):
-        yield Text.heading(metric.label)
+        yield Text(metric.label, "heading")
         yield Gallery(list(_metric_images(inputs, metric)), say(metric.caption))
     table = comparison_as_table(
         evaluation, inputs.words, list(countings(evaluation.comparison)), inputs.learner

@@ -12,11 +12,11 @@ import io
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_envs.drawing.palette import RGB, to_hex
 
 if TYPE_CHECKING:
@@ -138,10 +138,6 @@ def method_label(name: str) -> str:
     return name if name.casefold() in plain or not name.islower() else name.upper()
 
 
-def is_recorded(name: str) -> bool:
-    return name.casefold() == RECORDED
-
-
 @dataclass(frozen=True)
 class Look:
     """How one individual is drawn: colour, line and mark all tell it from the others."""
@@ -153,13 +149,10 @@ class Look:
 
 def looks(roles: Sequence[str]) -> list[Look]:
     """Pursuers in hues, the target near-black and solid."""
-    out = []
-    for i, role in enumerate(roles):
-        hue = TARGET if role == "target" else PURSUERS[i % len(PURSUERS)]
-        dashes = DASHES[0] if role == "target" else DASHES[i % len(DASHES)]
-        marker = "X" if role == "target" else MARKERS[i % len(MARKERS)]
-        out.append(Look(hue.hex, dashes, marker))
-    return out
+    return [
+        Look(TARGET.hex, DASHES[0], "X") if role == "target" else Look(hue.hex, dashes, marker)
+        for role, hue, dashes, marker in zip(roles, cycle(PURSUERS), cycle(DASHES), cycle(MARKERS))
+    ]
 
 
 def figure_style() -> AbstractContextManager[None]:
@@ -179,15 +172,11 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> 
 
 @dataclass(frozen=True)
 class Image:
-    """A figure for a web page: a drawing that stands in it, its natural width, and its words.
-
-    ``figure`` is what it was drawn from, to write it in other formats.
-    """
+    """A figure for a web page: a drawing to stand in it, its words, and what it was drawn from."""
 
     drawing: str  # an svg element, its colours variables of the page's style sheet
-    width: int  # [CSS px]
     alt: str
-    figure: Figure | None = field(default=None, compare=False, repr=False)
+    figure: Figure
 
 
 def to_image(figure: Figure, alt: str) -> Image:
@@ -211,7 +200,7 @@ def to_image(figure: Figure, alt: str) -> Image:
         'style="stroke-linejoin: round; stroke-linecap: butt">'
     )
     body = drawing[drawing.index(">") + 1 :].strip()
-    return Image(themed(opening + body), width, alt, figure)
+    return Image(themed(opening + body), alt, figure)
 
 
 def _with_own_ids(drawing: str) -> str:

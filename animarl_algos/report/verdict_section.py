@@ -132,15 +132,12 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     scores = verdict.components
     if scores is None or scores.empty:
         return
-
-    def beside(reference: str) -> Any:
-        return lambda row: number(row[reference]) if reference in row else NOTHING
-
-    columns = {
+    columns: dict[str, Any] = {
         "Weight": lambda row: number(row["weight"], 2),
         "Score\n[95 %]": lambda row: with_interval(interval(row)),
-        **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
     }
+    for one in REFERENCES:
+        columns[words.say(one).capitalize()] = lambda row, one=one: number(row.get(one, math.nan))
     whole = scores["component"].fillna("") == ""
     yield tabulate(
         "Realism",

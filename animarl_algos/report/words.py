@@ -14,8 +14,9 @@ from typing import Any
 import pandas as pd
 
 from animarl_algos.evaluation.metrics import ARENA_UNITS, DTW, Metric
+from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
-from animarl_algos.report.style import is_recorded, method_label
+from animarl_algos.report.style import method_label
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RECORDED_SCALE, Unit, unit_of
 
@@ -53,7 +54,7 @@ class Words:
 
     def label(self, method: str) -> str:
         """Return a method's name, or what its demonstrations are called."""
-        return self.say(method) if is_recorded(method) else method_label(method)
+        return self.say(method) if method.casefold() == RECORDED else method_label(method)
 
     def unit_of(self, metric: Metric) -> str:
         """Return the unit that a metric's values are told in."""
@@ -90,9 +91,7 @@ def scaled(value: Interval, factor: float) -> Interval:
 def pick(table: pd.DataFrame, **values: Any) -> Any | None:
     """Return the first row of a table that has these values; None if there is none."""
     for key, value in values.items():
-        if table.empty:
-            return None
-        table = table[table[key] == value]
+        table = table if table.empty else table[table[key] == value]
     return None if table.empty else table.iloc[0]
 
 

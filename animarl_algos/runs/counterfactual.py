@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,19 +37,12 @@ TEAM_SEED = 0
 BLIND = "flag zeroed"
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CounterfactualRuns(CounterfactualInputs):
-    """What the runs answered, and what comes of it."""
-
-    runs: RunSet
-
-
 def ask_runs(
     folders: Sequence[str | Path],
     *,
     truth: Path | None = None,
     repetitions: int | None = None,
-) -> CounterfactualRuns:
+) -> CounterfactualInputs:
     """Ask trained runs about the other condition from every test start.
 
     Parameters
@@ -79,8 +72,7 @@ def ask_runs(
     teams = _teams(runs, test, truth, repetitions or runs.first.settings.repetitions)
     more = [] if truth is None else ["--truth", str(truth)]
     more += [] if repetitions is None else ["--repetitions", str(repetitions)]
-    return CounterfactualRuns(
-        runs=runs,
+    return CounterfactualInputs(
         demos=test,
         asked=asked,
         teams=teams,
@@ -98,7 +90,7 @@ def counterfactual_runs(
     *,
     truth: Path | None = None,
     repetitions: int | None = None,
-) -> CounterfactualRuns:
+) -> CounterfactualInputs:
     """What :func:`ask_runs` finds, written to ``out``: all of it or nothing.
 
     ``out`` gets ``counterfactual``, ``claims`` and ``episodes`` as CSV and Parquet, ``figures/``

@@ -190,7 +190,7 @@ class EvaluatedRuns:
     test: Demonstrations
     rollouts: dict[str, Rollouts]
     evaluation: Evaluation
-    lacking: tuple[str, ...]
+    lacking: tuple[str, ...] = ()
     folds: int = 0
 
 
@@ -339,35 +339,20 @@ def evaluate_runs(
             for run in some
             if run.has_policy(run.settings.algo)
         }
-    made_by, evaluation = command("evaluate", folders), found.evaluation
-    inputs = report_inputs(
-        found.runs,
-        found.rollouts,
-        evaluation,
-        settings,
-        made_by,
-        test=found.test if demos is not None or found.folds else None,
-        folds=found.folds,
-    )
+    evaluation, made_by = found.evaluation, command("evaluate", folders)
     tables = {name: getattr(evaluation, name) for name in TABLES}
     with all_files_or_none(out) as part:
         evaluation.verdict.save(part)
         write_tables(tables | {"verdict": evaluation.verdict.table}, part)
-        run_page(inputs).write(part)
+        run_page(report_inputs(found, settings, made_by)).write(part)
     return found
 
 
 def report_inputs(
-    runs: run_set.RunSet,
-    rollouts: dict[str, Rollouts],
-    evaluation: Evaluation,
-    settings: Mapping[str, Any],
-    command: str,
-    created: str = "",
-    test: Demonstrations | None = None,
-    folds: int = 0,
+    found: EvaluatedRuns, settings: Mapping[str, Any], command: str, created: str = ""
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
+    runs = found.runs
     demos, known, warnings = runs.demos, runs.page_inputs(), []
     for run in runs.runs:  # the terminal says the same while a run is made
         warnings += doubts(run.fit, run.learnable_demos)
@@ -375,14 +360,14 @@ def report_inputs(
     return ReportInputs(
         title=f"{runs.species.title}: {', '.join(runs.methods)}",
         learner=next(iter(runs.methods)),
-        demos=demos.select(split="test") if test is None else test,
-        rollouts=rollouts,
-        evaluation=evaluation,
+        demos=found.test,
+        rollouts=found.rollouts,
+        evaluation=found.evaluation,
         settings={"world": known["world"], "environment": known["environment"], **settings},
         seeds=tuple(sorted({run.settings.seed for run in runs.runs})),
         command=command,
         created=created,
-        folds=folds,
+        folds=found.folds,
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
         warnings=tuple(warnings),
         **known,

@@ -33,7 +33,7 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
 from animarl_algos.runs import run_set
-from animarl_algos.runs.evaluating import evaluate_rollouts, report_inputs, roll_out
+from animarl_algos.runs.evaluating import EvaluatedRuns, evaluate_rollouts, report_inputs, roll_out
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -196,15 +196,15 @@ def report(run: Run) -> Path:
     """Stage 5: the page to show."""
     with run.lock():
         record, folds = run.record, run_set.trained_folds(run)
-        inputs = report_inputs(
+        found = EvaluatedRuns(
             run_set.RunSet({method_name(run.settings.algo): (run,)}),
+            run_set.all_tested(run.demos) if folds else run.demos.select(split="test"),
             run_set.joined_rollouts(folds) if folds else run.rollouts(),
             Evaluation.load(run.path / "evaluation"),
-            {"run": record["settings"], "learner": record["learner"]}
-            | {"reason": record.get("reasons", {})},
-            record["command"],
-            datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            run_set.all_tested(run.demos) if folds else None,
-            len(folds),
+            folds=len(folds),
         )
+        settings = {"run": record["settings"], "learner": record["learner"]}
+        settings |= {"reason": record.get("reasons", {})}
+        made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+        inputs = report_inputs(found, settings, record["command"], made)
         return write_report(inputs, run.path / PAGE_FILE)

@@ -16,7 +16,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.collect import Cue, Policy
+from animarl_algos.evaluation.collect import Cue, Policy, WrappedPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -204,19 +204,17 @@ class FewerWorld(ChaseWorld):
         return whole
 
 
-class SubsetPolicy:
+class SubsetPolicy(WrappedPolicy):
     """A policy of everybody that is asked for those who are left.
 
     The absent draw actions too, so that the random numbers of the others stay what they were.
     """
 
     def __init__(self, policy: Policy, present: Present) -> None:
-        self.policy, self.own = policy, np.array(present.own)
+        super().__init__(policy)
+        self.own = np.array(present.own)
         self.source = np.zeros(present.everybody.num_individuals, dtype=np.int64)
         self.source[self.own] = np.arange(len(self.own))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.policy, name)
 
     def _for_all(self, of_own: Any) -> Any:
         slots = np.asarray(of_own)
@@ -224,16 +222,11 @@ class SubsetPolicy:
         return np.ascontiguousarray(each[:, self.source]).reshape(-1, *slots.shape[1:])
 
     def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
+        self, observation: Any, state: Any = None, episode_start: Any = None, **known: Any
     ) -> tuple[Any, Any]:
         """Return the actions of those who are left, and everybody's state."""
-        actions, state = self.policy.predict(
-            self._for_all(observation), state, self._for_all(episode_start), deterministic
-        )
+        started = self._for_all(episode_start)
+        actions, state = self.policy.predict(self._for_all(observation), state, started, **known)
         return np.asarray(actions).reshape(-1, len(self.source))[:, self.own].ravel(), state
 
     def remember(self, state: Any, executed: NDArray[np.integer]) -> Any:

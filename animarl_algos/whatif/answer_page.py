@@ -162,9 +162,8 @@ def _lead(found: WhatIf) -> page.Lead:
 
 
 def _in_short(found: WhatIf) -> Iterator[page.Block]:
-    yield page.Sentences(
-        [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
-    )
+    said = [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
+    yield page.Text(said, "sentences")
     yield page.Text(WARNINGS)
 
 
@@ -327,11 +326,8 @@ def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
     scenes = []
     for i in chosen:
         start = int(found.baseline.demo[i])
-        tracks = {
-            RECORDED: player.track(recorded, start),
-            UNCHANGED: player.track(found.baseline, i),
-        }
-        tracks |= {f"change-{k}": player.track(a.rollouts, i) for k, a in enumerate(played)}
-        scenes.append(player.Scene(f"Start {start}", tracks))
+        tracks = {RECORDED: (recorded, start), UNCHANGED: (found.baseline, i)}
+        tracks |= {f"change-{k}": (answer.rollouts, i) for k, answer in enumerate(played)}
+        scenes.append((f"Start {start}", tracks))
     said = f"{len(scenes)} test starts, in both worlds with the same random numbers."
     return player.play(inputs, scenes, views, said)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.collect import Policy
+from animarl_algos.evaluation.collect import Policy, WrappedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.focus import is_free
 from animarl_envs.species import Species
@@ -159,7 +159,7 @@ class InputRange:
         return self.words[side].format("", *self.others[individual])
 
 
-class WatchedPolicy:
+class WatchedPolicy(WrappedPolicy):
     """A policy that acts as before, and counts how often its inputs leave their range.
 
     Attributes
@@ -171,22 +171,14 @@ class WatchedPolicy:
     """
 
     def __init__(self, policy: Policy, inputs: InputRange) -> None:
-        self.policy, self.inputs = policy, inputs
+        super().__init__(policy)
+        self.inputs = inputs
         individuals, components = inputs.low.shape
         self.steps, self.beyond = np.zeros((2, individuals))
         self.sides = np.zeros((individuals, 2 * components))
         self._pending: NDArray[np.bool_] | None = None
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.policy, name)
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
+    def predict(self, observation: Any, *more: Any, **known: Any) -> tuple[Any, Any]:
         """Ask the policy, and remember which inputs were beyond their range."""
         self.finish()
         individuals, components = self.inputs.low.shape
@@ -194,7 +186,7 @@ class WatchedPolicy:
         sides = (seen < self.inputs.low, seen > self.inputs.high)
         self._pending = np.concatenate(sides, axis=2)
         self._alive = np.ones(self._pending.shape[:2], dtype=bool)
-        return self.policy.predict(observation, state, episode_start, deterministic)
+        return self.policy.predict(observation, *more, **known)
 
     def leave_out(self, state: Any, ended: NDArray[np.bool_]) -> Any:
         """Do not count the slots of episodes that have ended."""

@@ -31,7 +31,7 @@ from animarl_algos.benchmark.matrix import (
     plan,
     read_matrix,
 )
-from animarl_algos.benchmark.pieces import LOCK, Done, Piece, Watch, Workers, attempt, perform_all
+from animarl_algos.benchmark.pieces import LOCK, Piece, Watch, Workers, attempt, perform_all
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -63,11 +63,11 @@ class Told(Watch):
     def started(self, piece: Piece) -> None:
         self.begun.append(piece.name)
 
-    def ended(self, piece: Piece, done: Done | None) -> None:
-        if done is None:
+    def ended(self, piece: Piece, error: str | None) -> None:
+        if error is None:
             self.elsewhere.append(piece.name)
-        elif done.error:
-            self.errors[piece.name] = done.error
+        elif error:
+            self.errors[piece.name] = error
 
 
 def tiny(**changed: Any) -> Matrix:
@@ -205,7 +205,7 @@ def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
     folder = broken.folder(tmp_path)
     folder.mkdir(parents=True)
     (folder / "settings.json").write_text("{")
-    assert "damaged" in attempt(broken, tmp_path).error
+    assert "damaged" in attempt(broken, tmp_path)
     assert "damaged" in broken.error(tmp_path)
     told = Told()
     perform_all(replace(asked, worlds=(broken,)).pieces, tmp_path, Workers(), told)

@@ -132,7 +132,7 @@ def test_benchmark_hands_methods_no_test_episode(tmp_path: Path) -> None:
         world = replace(plan(FEW).worlds[0], data="agent", demos=demos)
         matrix = FEW.changed(species=("agent",), episodes={})
         world = replace(world, settings=matrix.world_settings("agent", demos))
-        assert not attempt(world, tmp_path / name).error
+        assert attempt(world, tmp_path / name) == ""
         settings.append(MethodSetting.of(Run(world.folder(tmp_path / name)), 0))
     first, second = settings
     assert set(first.demos.split) == {"train", "val"}
@@ -157,10 +157,10 @@ FEW = Matrix(
 def rows_of(methods: dict[str, str], out: Path) -> dict[str, Rollouts]:
     """Rollouts of others' methods on few flies."""
     asked = plan(FEW, methods)
-    assert not attempt(asked.worlds[0], out).error
+    assert attempt(asked.worlds[0], out) == ""
     made = [cell for cell in asked.cells if cell.kind == "method"]
     for cell in made:
-        assert attempt(cell, out).error == ""
+        assert attempt(cell, out) == ""
     return {cell.method: cell.rollouts(out) for cell in made}
 
 
@@ -172,7 +172,7 @@ def test_benchmark_examples_learn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     made = rows_of({name: f"methods:{factory}" for name, factory in names.items()}, tmp_path)
     assert {name: one.method for name, one in made.items()} == {name: name for name in names}
     held = plan(FEW.changed(references=("constant-velocity",)))
-    assert not attempt(held.cells[0], tmp_path).error
+    assert attempt(held.cells[0], tmp_path) == ""
     reference = held.cells[0].rollouts(tmp_path)  # the same by another road
     assert np.array_equal(made["glide"].positions, reference.positions)
 
