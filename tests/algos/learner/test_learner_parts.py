@@ -244,6 +244,28 @@ def test_it_learns_what_can_be_known(policy: str) -> None:
         assert best[f"val/top_1/{who}"] > 0.85
 
 
+@kinds
+def test_individuals_that_share_a_network_learn_from_each_other(policy: str) -> None:
+    """Each was seen in one half of the world, and is asked about both."""
+    split = []
+    for seed in (0, 1):
+        observations = np.random.default_rng(seed).normal(size=(48 * 5, 2, 4))
+        if seed == 0:
+            observations[..., 0] = np.abs(observations[..., 0]) * [1, -1]
+        actions, names = observations[..., :3].argmax(-1), toys.Pair.individuals
+        split.append(OfflineDataset(observations, actions, np.full(48, 5), 3, names=names))
+    figure = {}
+    for shared in (False, True):
+        kwargs = {"hidden": 16, "shared": shared, "skip": policy == "GruPolicy"}
+        model = cloning(policy, demonstrations=Split(*split), policy_kwargs=kwargs)
+        progress = model.pretrain()
+        figure[shared] = float(np.mean(progress.best_figures))
+    assert figure[True] < figure[False] - 0.05
+    assert len(set(progress.best_epochs)) == 1
+    for weight in model.policy.q_net.shared_parameters:
+        torch.testing.assert_close(weight[0], weight[1], rtol=0, atol=1e-6)
+
+
 def test_a_clone_of_coin_tosses_is_said_to_know_nothing() -> None:
     rng = np.random.default_rng(0)
     frames, lengths = 48 * 5, np.full(48, 5)

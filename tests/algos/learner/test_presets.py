@@ -373,3 +373,28 @@ def test_every_file_of_a_learner_is_a_recipes() -> None:
     for name, named in RECIPES.items():
         content = yaml.safe_load((CONFIGS / f"{name}.yml").read_text())
         assert content and name in (named.algorithm.preset, named.algorithm.pretrained_preset)
+
+
+def test_files_are_plain_data() -> None:
+    """safe_load takes them, and every string in them is a name that is looked up in a table."""
+    for file in CONFIGS.iterdir():
+        if not file.name.endswith(".yml"):
+            continue
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        assert strings(content) - set(content) <= {*NAMES.split(), *RECIPES}
+
+
+NAMES = """
+    GruPolicy MlpPolicy head encoder recompute stored episode step cumulative closeness onset joint
+    chosen auto 1 epsilon:0.1 epsilon:0.5 paper epsilon boltzmann huber recipe hard soft tracking
+    lin_1e-3 pretraining cloning
+"""
+
+
+def strings(data: Any) -> set[str]:
+    """All string values (not keys) in nested data."""
+    if isinstance(data, dict):
+        return set().union(*map(strings, data.values())) if data else set()
+    if isinstance(data, list):
+        return set().union(*map(strings, data)) if data else set()
+    return {data} if isinstance(data, str) else set()
