@@ -151,9 +151,9 @@ def _refuse(scenario: Scenario) -> None:
         "the individuals of this run have headings of their own, which a page does not simulate: "
         f"train without senses_heading, or {instead}":
             isinstance(species, ChaseSpecies) and species.has_headings,
-        "the individuals of this run differ by traits, which a page does not simulate: "
-        f"{instead}":
-            searcher is not None and searcher.traits is not None,
+        "the searchers of this run differ by traits or observe their past, which a page does not "
+        f"simulate: {instead}":
+            searcher is not None and (searcher.traits is not None or searcher.senses_past),
         f"this run searches a plume of the user's own, which a page does not carry: {instead}":
             searcher is not None and not isinstance(as_plume(searcher.plume), ModelPlume),
     }  # fmt: skip

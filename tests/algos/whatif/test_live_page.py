@@ -184,16 +184,14 @@ def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 60)
     moth = load_run("silkmoth")
     traits = Traits(np.zeros((2, 1, 2)), np.ones((1, 2)), np.zeros((1, 1, 2)))
-    unlike = replace(moth.scenario, species=replace(moth.scenario.species, traits=traits))
-    with monkeypatch.context() as patched, pytest.raises(InputError, match="differ by traits"):
-        patched.setitem(moth.__dict__, "scenario", unlike)
-        page_model(moth)
-    monkeypatch.setitem(
-        moth.__dict__,
-        "scenario",
-        replace(moth.scenario, species=replace(moth.scenario.species, plume="off")),
-    )
-    refuses("plume of the user's own", page_model, moth)
+    for change, told in (
+        ({"traits": traits}, "differ by traits or observe their past"),
+        ({"senses_past": True}, "differ by traits or observe their past"),
+        ({"plume": "off"}, "plume of the user's own"),
+    ):
+        unlike = replace(moth.scenario, species=replace(moth.scenario.species, **change))
+        monkeypatch.setitem(moth.__dict__, "scenario", unlike)
+        refuses(told, page_model, moth)
 
 
 def test_a_page_that_is_too_large_is_refused_and_nothing_is_left(
