@@ -41,7 +41,11 @@ LIBRARIES = (
 # What must notice a mutant: few and fast tests, or a run takes days.
 TARGETS = {
     "animarl_envs/locomotion.py": ("test_locomotion.py",),
-    "animarl_envs/kinematics.py": ("test_locomotion.py",),
+    "animarl_envs/kinematics.py": (
+        "test_locomotion.py",
+        "test_chase_headings.py",
+        "test_chase_world.py",
+    ),
     "animarl_envs/worlds/chase/kernels.py": ("test_chase_world.py",),
     "animarl_envs/dtw.py": ("test_dtw_rows.py",),
     "animarl_algos/losses/terms.py": ("test_losses.py",),
