@@ -183,13 +183,14 @@ def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     assert "3 individuals are more than the 2" in refusal()
     monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 60)
     moth = load_run("silkmoth")
+    whole = moth.scenario
     traits = Traits(np.zeros((2, 1, 2)), np.ones((1, 2)), np.zeros((1, 1, 2)))
     for change, told in (
         ({"traits": traits}, "differ by traits or observe their past"),
         ({"senses_past": True}, "differ by traits or observe their past"),
         ({"plume": "off"}, "plume of the user's own"),
     ):
-        unlike = replace(moth.scenario, species=replace(moth.scenario.species, **change))
+        unlike = replace(whole, species=replace(whole.species, **change))
         monkeypatch.setitem(moth.__dict__, "scenario", unlike)
         refuses(told, page_model, moth)
 
