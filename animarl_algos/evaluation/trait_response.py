@@ -14,41 +14,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
+from animarl_algos.evaluation.acting_choice import ROLLOUTS
+from animarl_algos.evaluation.collect import Cue, Policy, WrappedPolicy, collect_rollouts
 from animarl_envs.species.traits import TRAITS, Traits, episode_traits
 from animarl_envs.worlds.base import World
 
 Floats = NDArray[np.float64]
 
-ROLLOUTS = 400
 LOUDEST = 2.0  # louder, moths no longer find their source
 HEARD = 0.2  # a weaker answer may be none, and nothing makes it one
 
 
-class Listening:
+class Listening(WrappedPolicy):
     """A policy, and what of every slot was told in the first steps of episodes."""
 
-    def __init__(self, policy: Any, components: list[int]) -> None:
-        self._policy, self._components = policy, components
+    def __init__(self, policy: Policy, components: list[int]) -> None:
+        super().__init__(policy)
+        self._components = components
         self.told: list[NDArray[Any]] = []
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._policy, name)
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
+    def predict(self, observation: NDArray[Any], **known: Any) -> tuple[Any, Any]:
         """Return the policy's actions and state."""
-        if np.all(episode_start):
+        if np.all(known["episode_start"]):
             self.told.append(observation[:, self._components].copy())
-        actions, state = self._policy.predict(
-            observation, state=state, episode_start=episode_start, deterministic=deterministic
-        )
-        return actions, state
+        return self.policy.predict(observation, **known)
 
 
 def trait_components(world: World) -> list[int]:
@@ -88,6 +77,7 @@ def trait_gains(
     answer = np.diag(np.linalg.lstsq(told, shown, rcond=None)[0])
     told_variance, wanted = told.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
     unexplained = shown.var(axis=0) - answer**2 * told_variance
-    heard = answer > HEARD
-    gains = np.sqrt(np.maximum(wanted - unexplained, 0.0) / np.where(heard, told_variance, 1.0))
-    return np.where(heard, np.clip(gains / np.where(heard, answer, 1.0), 1.0, LOUDEST), 1.0)
+    gains, heard = np.ones(len(TRAITS)), answer > HEARD
+    needed = np.sqrt(np.maximum(wanted - unexplained, 0.0)[heard] / told_variance[heard])
+    gains[heard] = np.clip(needed / answer[heard], 1.0, LOUDEST)
+    return gains

@@ -421,43 +421,42 @@ class Run:
     def tell_traits_louder(self, algo: str, model: SequenceQLearning) -> None:
         """Amplify what a ``model`` of animals that differ is told of them, and note by how much."""
         traits, seed = self.species.traits, self.settings.seed
+        if traits is None:
+            return
         demos = acting_choice.choice_episodes(self.learnable_demos, seed)
         make = partial(make_world, self.starting_from(None, demos=demos))
-        components = trait_components(make(1)) if traits is not None else []
-        if traits is None or not components:
+        components = trait_components(make(1))
+        if not components:
             return
         fitted = model.fit_temperature(model.demonstration_data().val)
-        model.policy.acting = Acting.boltzmann(fitted)
-        model.policy.seed(seed)
-        cue: Cue | None = "actual" if model.layout.condition_flag else None
-        gains = trait_gains(self.for_all(model), make, traits, seed=seed, cue=cue)
+        policy = self._acting_by(model, Acting.boltzmann(fitted), seed)
+        gains = trait_gains(policy, make, traits, seed=seed, cue=_cue(model))
         for network in (model.policy.q_net, model.policy.q_net_target):
             network.amplify_inputs(components, gains)
         said = ", ".join(f"{name} {gain:.2g}" for name, gain in zip(TRAITS, gains))
-        reasons = self.record.get("reasons", {})
-        reasons |= {f"traits of {algo}": f"told louder, or animals were too much alike: {said}"}
-        self._write_record(self.record | {"reasons": reasons})
+        reason = {f"traits of {algo}": f"told louder, or animals were too much alike: {said}"}
+        self._write_record(self.record | {"reasons": self.record.get("reasons", {}) | reason})
 
     def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:
         seed = self.settings.seed
         demos = acting_choice.choice_episodes(self.learnable_demos, seed)
-
-        def acting_by(rule: Acting, own_seed: int) -> Policy:
-            model.policy.acting = rule
-            model.policy.seed(own_seed)
-            return self.for_all(model)
-
         fitted = model.fit_temperature(model.demonstration_data().val)
         choice = acting_choice.choose_acting(
-            acting_by,
+            partial(self._acting_by, model),
             partial(make_world, self.starting_from(None, demos=demos)),
             demos,
             acting_choice.candidate_rules(fitted),
             acting_choice.further_rules(fitted),
             seed=seed,
-            cue="actual" if model.layout.condition_flag else None,
+            cue=_cue(model),
         )
         run_files.write_json(self.acting_file(algo), choice.to_json())
+
+    def _acting_by(self, model: SequenceQLearning, rule: Acting, seed: int) -> Policy:
+        """Let the ``model`` act by a rule, its draws seeded anew, for all individuals."""
+        model.policy.acting = rule
+        model.policy.seed(seed)
+        return self.for_all(model)
 
     def for_all(self, policy: Policy) -> Policy:
         """Return a policy that is asked for all individuals, also where one alone learned."""
@@ -585,6 +584,11 @@ class Run:
         from animarl_algos.whatif.answer import ask
 
         return ask([self], changes, **options)
+
+
+def _cue(model: SequenceQLearning) -> Cue | None:
+    """What a learner is told of the condition where it is compared with recordings."""
+    return "actual" if model.layout.condition_flag else None
 
 
 def method_name(algo: str) -> str:

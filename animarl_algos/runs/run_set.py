@@ -191,7 +191,11 @@ def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
     for number, demos in enumerate(cross_validated(given, folds), 1):
         fold = Run(run.path / FOLDER / f"{number}-of-{folds}", run.acting_rule)
         fold.path.mkdir(parents=True, exist_ok=True)
-        fold.start(run.settings, demos, run.record["command"], run.record.get("reasons"))
+        reasons = run.record.get("reasons", {})
+        chosen = {
+            key: why for key, why in reasons.items() if key in type(run.settings).model_fields
+        }
+        fold.start(run.settings, demos, run.record["command"], chosen)
         found.append(fold)
     return tuple(found)
 

@@ -72,7 +72,7 @@ class Seen(IntEnum):
     WAY_AHEAD_3 = "way ahead, 3 s", EGO, "1", "strides"
     WAY_AHEAD_10 = "way ahead, 10 s", EGO, "1", "strides"
     SPEED_10 = "own speed, 10 s", EGO, "1", "strides"
-    SINCE_HIT = "time since a hit", BODY, "1", "since"
+    SINCE_HIT = "time since a hit, log", BODY, "1", "since"
     OWN_SPEED = TRAITS[0], "individual", "sd", "trait"
     OWN_TURNING = TRAITS[1], "individual", "sd", "trait"
 

@@ -69,6 +69,7 @@ def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path:
     ]
     assert float(rows[1]["held_out"]) > float(rows[0]["held_out"]) + 0.1
     assert float(rows[1]["floor"]) < 0.65 < 0.9 < float(rows[0]["floor"])
+    assert float(said.partition("their floor is ")[2][:4]) > 0.8
     assert f"The lowest of this table is {float(rows[1]['floor']):.2f}, of 2 states with 1" in said
     said = " ".join(animarl("fit", file, "--states", "3", "--thrusts", "1").split())
     assert "a: 3 states with 1 thrust are not supported by these recordings" in said
