@@ -1,7 +1,5 @@
 """Settings checked by pydantic, refused in one sentence: what is wrong, where, and what may be."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Self
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where animals move: the recorded field, its walls, or the virtual boundary around it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal, get_args

@@ -25,8 +25,6 @@ for ever. Closeness pays between 0 and 1 a step, so that no end ever pays; the b
 pace, and nothing is paid beyond the recording (``benchmarks/returns.py`` prints the returns).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

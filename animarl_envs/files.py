@@ -7,8 +7,6 @@ refused before anything is allocated. Numbers count as float64, which all of the
 YAML is read as plain data: no tags that name code, no text that becomes larger than it is.
 """
 
-from __future__ import annotations
-
 import errno
 import glob
 import io

@@ -8,8 +8,6 @@ where it has been going over the last second (:data:`COURSE`), or another rule t
 (:func:`animarl_envs.checks.focus_rule`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

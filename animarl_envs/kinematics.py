@@ -4,8 +4,6 @@ Fits and worlds use them alike. They stand apart from :mod:`animarl_envs.locomot
 importing the package, which needs the parameters alone, leaves numba out.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -12,8 +12,6 @@ magnitude ``k // 12`` (a multiple of the thrust u, the largest first) in directi
 to the left. Action ``12 M`` is no acceleration ("coasting"). The paper has M = 1: 13 actions.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 All views build their world from a scenario, so an option means the same everywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ Linux limits memory and processor time, macOS processor time alone. On Windows t
 the calling process, without limits.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import json

@@ -4,8 +4,6 @@ The same matrix, version and seeds give the same bytes of ``leaderboard.*``, how
 made them and however often they were killed; ``costs.*`` hold what differs from time to time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

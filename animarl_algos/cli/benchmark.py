@@ -1,7 +1,5 @@
 """``animarl benchmark``: every method, every species, every seed, and a leaderboard."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from pathlib import Path

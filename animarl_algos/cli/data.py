@@ -1,7 +1,5 @@
 """``animarl data``: look at demonstrations, check, split, convert and plot them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

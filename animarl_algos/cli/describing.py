@@ -1,7 +1,5 @@
 """Demonstrations and recipes in words, with units: what commands say of them, and hints."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

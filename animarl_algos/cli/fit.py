@@ -1,7 +1,5 @@
 """``animarl fit``: locomotion parameters of recorded individuals, as in the paper's Table 1."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``animarl import``: anyone's tracks in, demonstrations out."""
 
-from __future__ import annotations
-
 import inspect
 import json
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Modules of commands are imported when these are called: ``--help`` waits for none of them.
 """
 
-from __future__ import annotations
-
 import ast
 import signal
 import sys

@@ -3,8 +3,6 @@
 Names and texts from files are shown as they are, never obeyed.
 """
 
-from __future__ import annotations
-
 import csv
 import inspect
 import re

@@ -1,7 +1,5 @@
 """``animarl watch``: see an environment move, in a window or as a clip."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from itertools import zip_longest
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Demonstrations as training sequences: whole episodes, or windows of them, maybe mirrored."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -7,8 +7,6 @@ that one thrust moves the animal in a step. Programs act exactly, animals do not
 steps there are to learn from.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Demonstrations as a learner sees them: observations, labels, rewards, scored actions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property

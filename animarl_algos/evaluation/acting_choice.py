@@ -9,8 +9,6 @@ reactions, place and endings. Rollouts stop where their recording merely stops. 
 rounds, with other random numbers each, until two halves of the rounds choose the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

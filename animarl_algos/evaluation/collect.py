@@ -1,7 +1,5 @@
 """Collecting rollouts: policies drive every individual from each demonstration's start."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

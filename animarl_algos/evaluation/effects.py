@@ -12,8 +12,6 @@ there are at least three training seeds, their mean shift excludes zero over see
 and it differs from that of networks that learned nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import permutations

@@ -5,8 +5,6 @@ the verdict, the choice of acting, the leaderboard, the report's figures, tables
 the table in the terminal all follow the entries.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

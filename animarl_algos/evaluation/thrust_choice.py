@@ -6,8 +6,6 @@ magnitudes. It is no bound: tracking takes the nearest action of each step, and 
 by that where a policy that acts like the animal would not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

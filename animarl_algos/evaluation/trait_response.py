@@ -6,8 +6,6 @@ measured by rollouts: in each an individual is told the traits of some training 
 then does has traits of its own. The first on the second, by least squares, is the answer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -8,8 +8,6 @@ learning from whole episodes or pieces of them. It joins parts that know no lear
 (:mod:`animarl_algos.losses.terms`); how values are represented is the value distribution's.
 """
 
-from __future__ import annotations
-
 from typing import Any, Self
 
 import numpy as np

@@ -5,8 +5,6 @@ In a VecEnv of slots each individual is an "environment" to stable-baselines3: i
 the world. :func:`evaluate_individuals` does not.
 """
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

@@ -13,8 +13,6 @@ any moment, a full disk or an unwritable folder leaves the last one whole. Check
 between updates only (``boundary_hooks`` of a learner), never within a step.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """What a learner refuses before it starts, and its settings in stable-baselines3's words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One step of acting: choose, step the environment, store, and forget where episodes ended."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Any
 

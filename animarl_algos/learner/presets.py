@@ -9,8 +9,6 @@ data, never evaluated; what they leave open has the default of
 ``default`` what it is not told, for the species of its environment where that says one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass

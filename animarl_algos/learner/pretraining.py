@@ -8,8 +8,6 @@ and stops when it is out of patience, so that individuals trained together end a
 Those that share a network keep and stop by the mean of their figures.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Callable

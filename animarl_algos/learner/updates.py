@@ -1,7 +1,5 @@
 """Updates: when they are due, one gradient step on a minibatch, and many from the replay memory."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -10,8 +10,6 @@ burnt-in and warm-up steps, and maybe ``weights`` ``(K, B)``, importance-samplin
 return ``(K,)``, 0 for an individual without valid steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal

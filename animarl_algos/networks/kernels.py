@@ -4,8 +4,6 @@ At 32 units an update through tensor operations spends most of its time starting
 run the same equations (see :mod:`animarl_algos.networks.layers`) row by row, everything in cache.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -24,8 +24,6 @@ kept so: one network that learns from all of them, in which an individual has bu
 Axes: (individual, time, batch, feature).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -5,8 +5,6 @@ slot s; each slot is routed to the network of its individual. Between calls a sl
 hidden state and its previous action.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, ClassVar, Literal
 
 import numba as nb

@@ -5,8 +5,6 @@ on quantiles of the return (:class:`QRDQN`, the names ``QR...``). All learners a
 of :mod:`animarl_algos`; ``RECIPES`` holds them as the command line and ``zoo_configs`` call them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import ClassVar, NamedTuple
 

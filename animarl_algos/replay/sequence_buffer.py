@@ -4,8 +4,6 @@ Schaul et al. 2016, "Prioritized experience replay"; burn-in and stored states a
 al. 2019, "Recurrent experience replay in distributed reinforcement learning".
 """
 
-from __future__ import annotations
-
 import enum
 import math
 import os

@@ -7,8 +7,6 @@ node is always the sum of its two children, computed afresh, so rounding never a
 tree rebuilt from its leaves is the same to the last bit.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba as nb

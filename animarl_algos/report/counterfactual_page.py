@@ -1,7 +1,5 @@
 """The page of a counterfactual: what is claimed, and shifts beside their truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Everything that a page shows: what all pages know of their runs, and where a page comes from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -4,8 +4,6 @@ Whatever makes a page (a run, a counterfactual, an episode, a leaderboard) gives
 here knows what they say.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

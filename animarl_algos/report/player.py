@@ -1,7 +1,5 @@
 """What the player on a page plays: paths of a few starts, packed into little text."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterator, Sequence
 from typing import Any

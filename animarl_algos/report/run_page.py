@@ -1,7 +1,5 @@
 """The page of a run, or of several: sections of figures, tables and sentences, in order."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

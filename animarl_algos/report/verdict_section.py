@@ -1,7 +1,5 @@
 """The verdict as the first section of the page, as its headline, and as a sentence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial

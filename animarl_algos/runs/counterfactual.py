@@ -5,8 +5,6 @@ differ by chance too, and a network learns that difference as it learns a true o
 rollouts does not know of it; runs trained with permuted conditions (:func:`permuted_runs`) do.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Nothing is trained here.
 """
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence

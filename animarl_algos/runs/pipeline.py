@@ -4,8 +4,6 @@ Each stage writes its result into the run folder and is skipped if it is there, 
 was killed goes on where it was.
 """
 
-from __future__ import annotations
-
 import shutil
 from contextlib import closing
 from datetime import UTC, datetime

@@ -5,8 +5,6 @@ and everything else as JSON, and a card. Whatever takes a run's folder takes it 
 that come with the package are not copied.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What lies in a run's folder: weights, learning curves, and what the run was made with and on."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import os

@@ -6,8 +6,6 @@ where and in which condition training episodes start) does not: policies are eva
 start of every test demonstration, in its condition.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any

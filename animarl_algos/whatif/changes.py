@@ -1,7 +1,5 @@
 """Changes of a world in the words of its user: ``prey.speed=+20%``, ``arena=x1.5``."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ which a test compares with this package step by step. It holds the policy, the w
 starts, and what is measured of the recordings.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import html

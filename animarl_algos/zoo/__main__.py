@@ -1,7 +1,5 @@
 """``python -m animarl_algos.zoo train|optimize``."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import importlib.util

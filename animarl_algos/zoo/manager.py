@@ -3,8 +3,6 @@
 All individuals learn; scores come from the validation split.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 import warnings

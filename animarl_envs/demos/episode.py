@@ -9,8 +9,6 @@ and in headings, a grid shows; so simulations are put on the recordings' :class:
 the two are compared.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Several sets of demonstrations as one, and sets of many individuals as sets of fewer."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

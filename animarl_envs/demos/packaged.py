@@ -1,7 +1,5 @@
 """The demonstrations that come with the package. Each file names the command that made it."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

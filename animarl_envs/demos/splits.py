@@ -1,7 +1,5 @@
 """Dealing episodes to train, validation and test without leakage."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Demonstrations at a glance: a table per episode, the whole set in numbers, and in which unit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

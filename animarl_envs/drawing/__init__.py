@@ -1,7 +1,5 @@
 """Windows, clips and figures of animals that move."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 

@@ -9,8 +9,6 @@ is its field ``bodies``. The shapes are drawn by hand, to be recognised at thirt
 measure nothing.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

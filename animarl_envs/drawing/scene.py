@@ -1,7 +1,5 @@
 """What there is to see of an episode at one moment, and what records it while a world moves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figure to check demonstrations by eye: tracks, speeds, distances, outcomes, gaps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -10,8 +10,6 @@ antennae were hit in the step before and how long ago the last hit was. It is fi
 likelihood to the training episodes and their mirror images.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

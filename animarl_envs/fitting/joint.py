@@ -13,8 +13,6 @@ place. Several magnitudes are held against fixed multiples of the one-magnitude 
 follows the recordings more closely is taken (``docs/data/fitting.md``).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

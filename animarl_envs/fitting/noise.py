@@ -13,8 +13,6 @@ noise: a switching Kalman filter. One Gaussian is kept per action; each step mak
 separately. Last actions less probable than ``NEGLIGIBLE`` are left out.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

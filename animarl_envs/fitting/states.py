@@ -12,8 +12,6 @@ More thrust magnitudes in one state are the rival of more states: both add speed
 make them last.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

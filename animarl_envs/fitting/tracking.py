@@ -6,8 +6,6 @@ a floor for comparisons of a simulation with its recordings, and labels that sui
 simulation visits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

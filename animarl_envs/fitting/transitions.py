@@ -8,8 +8,6 @@ Only speeds made from two recorded frames count: a start from rest that is known
 measured (the stored initial velocity) is no onset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

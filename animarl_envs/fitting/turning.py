@@ -8,8 +8,6 @@ altogether do not decide. The search runs first over few steps from one start, t
 twice as many, and so on, since the error over many has other minima.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

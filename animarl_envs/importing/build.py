@@ -1,7 +1,5 @@
 """Following a recipe: tracks are cleaned, scaled, cut, thinned and dealt to the splits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -8,8 +8,6 @@ Scaling to the arena frame is invertible. All recordings of an import share one 
 scales of their own their speeds would not compare.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

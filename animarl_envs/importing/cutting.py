@@ -3,8 +3,6 @@
 All distances are in arena units, after scaling; cuts and outcomes are decided at the recorded rate.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ joint fit. Rewards are the pursuers' touch. Signals travel as infos; condition, 
 recording, roles, arena and provenance (licence included) as metadata.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Iterable

@@ -4,8 +4,6 @@ That comes from the recipe, from a table with a row per recording (``--metadata`
 pattern over their names (``--name-pattern``).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

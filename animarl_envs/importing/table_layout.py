@@ -5,8 +5,6 @@ rows where one does not tell columns apart), their units, and the line of the fi
 from there on is checked again when it is read; nothing here decides about a number.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import re

@@ -4,8 +4,6 @@ Arrow parses all of them, and Excel's sheets once pandas has made text of them. 
 another length, truth values among numbers, and whole numbers that no float holds.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import datetime

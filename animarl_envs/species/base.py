@@ -189,10 +189,10 @@ class Species(ABC):
         NumPy's numbers become Python's, of which the kernels have compiled forms.
         """
         for one in fields(self):
-            value = getattr(self, one.name)
-            if one.type == "bool" and not isinstance(value, bool):
+            value, kind = getattr(self, one.name), getattr(one.type, "__name__", one.type)
+            if kind == "bool" and not isinstance(value, bool):
                 raise InputError(f"{one.name} is {value!r}: choose True or False")
-            if one.type != "float":
+            if kind != "float":
                 continue
             least, allowed = one.metadata.get("least", (None, "a positive number"))
             low = is_number(value) and (value > 0 if least is None else value >= least)

@@ -1,7 +1,5 @@
 """The user's options applied to a species, each checked and refused by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, get_args

@@ -1,7 +1,5 @@
 """The spec of a species that searches an odour source."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ animal is given those of a training animal, drawn as its episode begins. A condi
 mean alone, so that its effect is left to what the network is told of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

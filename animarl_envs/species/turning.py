@@ -12,8 +12,6 @@ in the arena frame. The kernels' form is :func:`animarl_envs.kinematics.next_tur
 :mod:`animarl_envs.fitting.turning`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

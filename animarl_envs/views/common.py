@@ -1,7 +1,5 @@
 """What the three views of a world share: options, spaces, infos, checks of actions."""
 
-from __future__ import annotations
-
 import copy
 import json
 import warnings

@@ -1,7 +1,5 @@
 """All individuals at once as a PettingZoo ``ParallelEnv``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from functools import partial

@@ -1,7 +1,5 @@
 """One focal individual as a ``gymnasium.Env``; the others replay, follow a policy or a rule."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

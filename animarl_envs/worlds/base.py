@@ -4,8 +4,6 @@ A world simulates ``copies`` episodes side by side. It knows nothing of Gymnasiu
 stepped, and its arrays, which it owns and overwrites in place, are read.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property

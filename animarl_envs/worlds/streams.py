@@ -7,8 +7,6 @@ pseudorandom number generators".) For simulation, not for cryptography.
 The functions compile to vector instructions, as those of libm do not.
 """
 
-from __future__ import annotations
-
 import math
 
 import numba as nb

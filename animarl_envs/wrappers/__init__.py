@@ -17,8 +17,6 @@ Infos: ``task_reward``, ``dtw_penalty`` (before weighting), ``dtw_distance`` (th
 ``aligned_step`` (the recorded step aligned with the present one).
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import gymnasium as gym

@@ -9,8 +9,6 @@ arrays as ``np.save`` writes them, and nothing else: NumPy's names lead to inert
 others to a refusal, so that nothing of the file runs. Arrays are made once it has been read whole.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

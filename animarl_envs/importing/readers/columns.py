@@ -1,7 +1,5 @@
 """What people and programs call a table's columns, and the frames and rates that times imply."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

@@ -10,8 +10,6 @@ its frames. Termites and flies are an ``.npz`` of int16 arrays, one per recordin
 The layouts in which the authors of the paper publish theirs are below, ``authors-...``.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -5,8 +5,6 @@ of trackers are read into :class:`~animarl_envs.importing.tracks.Tracks` and pas
 (cleaning, scaling, cutting), for which such a reader may bring defaults.
 """
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -4,8 +4,6 @@ Columns are found by their names or named by options. A table may hold several r
 apart by a column. The frame rate comes from ``fps``, or from a column of times.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

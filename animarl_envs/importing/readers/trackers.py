@@ -9,8 +9,6 @@ that opens every pickle it finds in an attribute, which runs any code; for NWB i
 that the file describes. The readers of this project open such files without either.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import itertools

@@ -6,8 +6,6 @@ rest. An episode begins with the recorded heading, else along the velocity, else
 Angles count counter-clockwise from x in the arena frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -12,8 +12,6 @@ the nearest). A target looks ahead along each of its actions and takes the one t
 farthest from walls, and from pursuers who accelerate straight at where it is now.
 """
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 

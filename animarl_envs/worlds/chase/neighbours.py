@@ -8,8 +8,6 @@ nearer in the plane than along x, so that of animals in the order of x only a st
 as wide as those few are far that were seen at the last step.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ the others, in order (:mod:`animarl_envs.worlds.chase.neighbours`). What is writ
 the table of :mod:`animarl_envs.worlds.chase.layout`: a group that is absent there is not computed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ many others, whoever pursues. Of free animals each has its own course for its fo
 nearest few others, and only leaving ends an episode.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -17,8 +17,6 @@ Kanzaki et al. (1992), Zool. Sci. 9: 515-527. Takasaki et al. (2012), J. Comp. P
 e72001.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

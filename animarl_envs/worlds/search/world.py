@@ -8,8 +8,6 @@ two antennae, and the plume's pattern and phase. All readings are those of the s
 present state.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
