@@ -229,6 +229,7 @@ def test_benchmark_presets_can_be_read() -> None:
     assert settings.steps == 1_005_000 and len(paper.seeds) == 5
 
 
+@pytest.mark.slow
 def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
     """Every recipe and reference on every packaged species finishes, and has its score."""
     asked, out = plan(read_matrix("smoke")), tmp_path / "smoke"

@@ -107,6 +107,7 @@ def test_a_clone_goes_on_after_an_interruption(
     assert bytes_of(out) == bytes_of(pair)
 
 
+@pytest.mark.slow
 def test_clones_by_two_processes_are_the_same(tmp_path: Path) -> None:
     matrix = PAIR.changed(seeds=(0, 1))
     for number in (1, 2):

@@ -63,7 +63,7 @@ def lock_demonstrations() -> Split:
     return Split(dataset, dataset)
 
 
-@pytest.mark.parametrize("recipe", [BC, DQDIL])
+@pytest.mark.parametrize("recipe", [BC, pytest.param(DQDIL, marks=pytest.mark.slow)])
 def test_a_sparse_reward_needs_demonstrations(recipe: type[SequenceQLearning]) -> None:
     offline = {"offline_epochs": 100, "offline_learning_rate": 3e-3, "offline_batch_size": 4}
     online = {"exploration_initial_eps": 0.1, "learning_rate": 3e-4, "gamma": 0.99}

@@ -77,8 +77,8 @@ def test_the_test_split_is_refused() -> None:
     [
         ("soft-bc", "custom", {}),
         ("dqdil-pt", "agent", {}),  # its episodes begin with replayed demonstrations
-        ("dqaas", "agent", {}),
-        ("iq-learn", "agent", IQ),
+        pytest.param("dqaas", "agent", {}, marks=pytest.mark.slow),
+        pytest.param("iq-learn", "agent", IQ, marks=pytest.mark.slow),
     ],
 )
 def test_poison_changes_neither_what_is_learned_nor_what_is_packaged(

@@ -59,7 +59,7 @@ def test_the_readers_page_has_a_line_for_every_reader(folder: Path) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", [0, 1, 2, pytest.param(3, marks=pytest.mark.slow), 4])
 def test_import_of_the_worked_examples(
     number: int, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
