@@ -13,9 +13,10 @@ from animarl_algos.cli.describing import hints, report, show, wide_console
 from animarl_algos.cli.main import SETTINGS
 from animarl_algos.cli.shared import SOURCE, helps, load, refuse_overwriting, write_csv
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal
-from animarl_envs.demos.summary import episode_table, summarise
+from animarl_envs.demos.summary import episode_table
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing.minari_io import export_minari, export_packaged
@@ -242,9 +243,11 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
                 )
             if row[f"path_length_{name}"] == 0:
                 found.append(f"episode {row['episode']} ({row['recording']}): {name} never moves")
-    for split, count in summarise(demos)["splits"].items():
-        if count == 0:
-            found.append(f"split {split} is empty: deal again with 'animarl data split'")
+    found += [
+        f"split {split} is empty: deal again with 'animarl data split'"
+        for split in SPLITS
+        if not (demos.split == split).any()
+    ]
     torn = [
         name
         for name in np.unique(demos.recording)

@@ -14,7 +14,14 @@ from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
-from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise, unit_of
+from animarl_envs.demos.summary import (
+    RESTING_SHARE,
+    episode_table,
+    outcome_name,
+    persistence,
+    tracking_counts,
+    unit_of,
+)
 from animarl_envs.fitting.custom_species import MAY_BE_BEYOND, share_beyond
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.species import CUSTOM
@@ -28,39 +35,41 @@ FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     """Return what a set of demonstrations holds, line by line."""
-    found = summarise(demos)
     told, unit = demos.provenance, unit_of(demos)
     scale, speed_unit = unit.per_arena_unit, f"{unit.name}/s"
-    duration, seconds = found["duration"], found["total_duration"]
+    seconds = (demos.lengths - 1) * demos.dt
+    names = demos.individuals
+    if demos.is_group:
+        individuals = f"{len(names)} that are alike, {names[0]} to {names[-1]}"
+    elif demos.has_goal:
+        individuals = ", ".join(f"{name} ({role})" for name, role in zip(names, demos.roles))
+    else:
+        individuals = ", ".join(names)
     rows = {
         "species": demos.species,
-        "individuals": f"{demos.num_individuals} that are alike, {demos.individuals[0]} to "
-        f"{demos.individuals[-1]}"
-        if demos.is_group
-        else ", ".join(
-            f"{n} ({r})" if demos.has_goal else n for n, r in found["individuals"].items()
-        ),
+        "individuals": individuals,
         "kind": "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals",
-        "source": found["source"],
+        "source": told["source"],
         "made by": told.get("command"),
-        "licence": found["licence"],
-        "episodes": f"{demos.num_episodes} from {counted(found['recordings'], 'recording')}",
-        "splits": ", ".join(f"{count} {name}" for name, count in found["splits"].items()),
-        "time step": f"{demos.dt:.4g} s ({1 / demos.dt:.4g} Hz), {found['frames']} frames",
-        "duration": f"{duration['shortest']:.3g} to {duration['longest']:.4g} s, median "
-        f"{duration['median']:.3g} s",
-        "in total": f"{seconds:.1f} s ({seconds / 60:.1f} min)",
+        "licence": told["licence"],
+        "episodes": f"{len(demos)} from {counted(len(np.unique(demos.recording)), 'recording')}",
+        "splits": ", ".join(f"{(demos.split == split).sum()} {split}" for split in SPLITS),
+        "time step": f"{demos.dt:.4g} s ({1 / demos.dt:.4g} Hz), {demos.lengths.sum()} frames",
+        "duration": f"{seconds.min():.3g} to {seconds.max():.4g} s, median "
+        f"{np.median(seconds):.3g} s",
+        "in total": f"{seconds.sum():.1f} s ({seconds.sum() / 60:.1f} min)",
         "arena": _arena(demos),
     }
     keypoints = told.get("keypoints", [])
     if len(keypoints) > 1:
         used = {str(one.get("keypoint")) for one in _cleaning(demos).values()}
         rows["keypoints"] = f"{', '.join(keypoints)}; used: {', '.join(used)}"
-    for name in demos.kinds:
-        speed = found[f"speed of {name}"]
+    speeds = scale * np.linalg.norm(demos.velocities(), axis=2)
+    for name, own in zip(demos.kinds, np.split(speeds, len(demos.kinds), axis=1), strict=True):
+        top = np.quantile(own, 0.99)
         rows[f"speed of {name}"] = (
-            f"median {scale * speed['median']:.3g}, 99th percentile {scale * speed['99 %']:.3g} "
-            f"{speed_unit}, at rest {speed['resting']:.0%} of the time"
+            f"median {np.median(own):.3g}, 99th percentile {top:.3g} {speed_unit}, at rest "
+            f"{(own <= RESTING_SHARE * top).mean():.0%} of the time"
         )
     if "target" in demos.roles or "searcher" in demos.roles:
         targets = demos.roles.count("target")
@@ -74,12 +83,16 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
             f"first {first:.3g}, least {least:.3g} {unit.name} (medians)"
         )
     for condition in np.unique(demos.condition):
-        key = f"outcomes, condition {condition}"
-        rows[key] = ", ".join(f"{name}: {count}" for name, count in found[key].items())
-    tracking = [f"{found[f'frames: {key}']} {key}" for key in TRACKING if f"frames: {key}" in found]
-    rows["signals"] = ", ".join(found["signals"]) if demos.signals else None
+        outcome = demos.outcome[demos.condition == condition]
+        codes, counts = np.unique(outcome, return_counts=True)
+        rows[f"outcomes, condition {condition}"] = ", ".join(
+            f"{outcome_name(code, demos)}: {count} ({count / len(outcome):.3f})"
+            for code, count in zip(codes[::-1].tolist(), counts[::-1].tolist())
+        )
+    tracking = [f"{count} {key}" for key, count in tracking_counts(demos).items()]
+    rows["signals"] = ", ".join(demos.signals) or None
     rows["frames flagged"] = ", ".join(tracking) or None
-    rows["fingerprint"] = found["fingerprint"]
+    rows["fingerprint"] = demos.fingerprint()
     return [(name, str(words)) for name, words in rows.items() if words is not None]
 
 

@@ -95,53 +95,15 @@ def persistence(demos: Demonstrations) -> NDArray[np.float64]:
     return np.asarray(kept)
 
 
-def summarise(demos: Demonstrations) -> dict[str, Any]:
-    """The whole set in numbers, by name."""
-    duration = (demos.lengths - 1) * demos.dt
-    speed = np.linalg.norm(demos.velocities(), axis=2)
-    found: dict[str, Any] = {
-        "species": demos.species,
-        "individuals": {n: r for n, r in zip(demos.individuals, demos.roles, strict=True)},
-        "kind": "synthetic" if demos.synthetic else "recorded",
-        "licence": str(demos.provenance["licence"]),
-        "source": str(demos.provenance["source"]),
-        "fingerprint": demos.fingerprint(),
-        "dt": demos.dt,
-        "arena": f"{demos.arena.shape}, boundary {demos.arena.boundary:g}",
-        "episodes": demos.num_episodes,
-        "recordings": len(np.unique(demos.recording)),
-        "frames": int(demos.lengths.sum()),
-        "total_duration": float(duration.sum()),
-        "duration": {
-            "shortest": float(duration.min()), "median": float(np.median(duration)),
-            "longest": float(duration.max()),
-        },
-        "splits": {s: int((demos.split == s).sum()) for s in ("train", "val", "test")},
-        "signals": list(demos.signals),
-    }  # fmt: skip
-    for name, own in zip(demos.kinds, np.split(speed, len(demos.kinds), axis=1), strict=True):
-        top = float(np.quantile(own, 0.99))
-        found[f"speed of {name}"] = {
-            "median": float(np.median(own)),
-            "99 %": top,
-            "resting": float((own <= RESTING_SHARE * top).mean()),
-        }
-    for condition in np.unique(demos.condition):
-        outcome = demos.outcome[demos.condition == condition]
-        found[f"outcomes, condition {condition}"] = {
-            outcome_name(int(code), demos): f"{np.sum(outcome == code)} "
-            f"({np.mean(outcome == code):.3f})"
-            for code in np.unique(outcome)[::-1]
-        }
-    if "ends" in demos.provenance:
-        found["recordings end by"] = str(demos.provenance["ends"])
-    cleaning = demos.provenance.get("cleaning")
-    if isinstance(cleaning, dict):
-        for key in TRACKING:
-            entry = key.replace(" ", "_")
-            counts = [one[entry] for one in cleaning.values() if entry in one]
-            if counts:
-                found[f"frames: {key}"] = int(sum(counts))
+def tracking_counts(demos: Demonstrations) -> dict[str, int]:
+    """Return in how many frames something was flagged, by what, where the tracks were cleaned."""
+    cleaning: Mapping[str, Any] = demos.provenance.get("cleaning") or {}
+    found = {}
+    for key in TRACKING:
+        entry = key.replace(" ", "_")
+        counts = [one[entry] for one in cleaning.values() if entry in one]
+        if counts:
+            found[key] = int(sum(counts))
     return found
 
 

@@ -109,10 +109,7 @@ def _draw_distributions(panels: Any, demos: Demonstrations, unit: summary.Unit) 
     _draw_distances(distances, demos, unit)
     names, counts = np.unique([row["outcome"] for row in rows], return_counts=True)
     _bars(bars, dict(zip(names.tolist(), counts.tolist(), strict=True)), "Outcomes", "episodes")
-    found = summary.summarise(demos)
-    tracking = {
-        key: found[f"frames: {key}"] for key in summary.TRACKING if f"frames: {key}" in found
-    }
+    tracking = summary.tracking_counts(demos)
     _bars(gaps, tracking, "Gaps and flags of the tracks", "frames")
     if not tracking:
         why = "simulated: nothing was tracked" if demos.synthetic else "not recorded in this file"
