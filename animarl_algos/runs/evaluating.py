@@ -5,9 +5,9 @@ Nothing is trained here.
 
 import json
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.pretraining import few_or_count
 from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
@@ -45,28 +44,27 @@ INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 def roll_out(run: Run) -> dict[str, Rollouts]:
     """Roll out every method from each test demonstration's start, told what is so."""
-    learner = run.trained(run.settings.algo)
-    policies = _policies(run, learner)
-    rollouts = {}
-    for name, (policy, cue) in policies.items():
-        rollouts[name] = _rolled_out(run, policy, name, cue)
-        rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
+    rollouts = _rolled_out(run)
+    for name, some in rollouts.items():
+        some.save(run.path / "rollouts" / f"{name}.npz")
     for file in (run.path / "rollouts").glob("*.npz"):
         if file.stem not in rollouts:  # of a method that the run is no longer compared with
             file.unlink()
     return rollouts
 
 
-def _policies(run: Run, learner: SequenceQLearning) -> dict[str, tuple[Policy, Cue | None]]:
-    """Return the trained learner and what it is compared with, as far as it is there.
+def _rolled_out(
+    run: Run, scenario: Scenario | None = None, without: Collection[str] = ()
+) -> dict[str, Rollouts]:
+    """Return rollouts of the trained learner and of what it is compared with, if it is there.
 
-    With each stands what it is told where it is told what is so.
+    The methods named in ``without`` are left out.
     """
-    settings = run.settings
+    settings, learner = run.settings, run.trained(run.settings.algo)
     cue: Cue | None = "actual" if learner.layout.condition_flag else None
     policies: dict[str, tuple[Policy, Cue | None]] = {method_name(settings.algo): (learner, cue)}
     for algo in settings.compared:
-        if run.has_policy(algo):
+        if run.has_policy(algo) and method_name(algo) not in without:
             policies[method_name(algo)] = run.trained(algo), cue
     if settings.baselines and run.demos.is_group:
         policies[BLIND] = learner, cue
@@ -74,54 +72,17 @@ def _policies(run: Run, learner: SequenceQLearning) -> dict[str, tuple[Policy, C
         untrained = run.untrained()
         policies[UNTRAINED] = untrained, cue
         policies[RANDOM] = RandomPolicy(settings.seed, untrained.policy.num_actions), None
-    return policies
-
-
-def _rolled_out(
-    run: Run, policy: Policy, name: str, cue: Cue | None, scenario: Scenario | None = None
-) -> Rollouts:
-    """Return rollouts of a policy; under the name :data:`BLIND` it does not see its neighbours."""
-    if name != BLIND:
-        return run.roll_out(policy, name, cue, scenario=scenario)
-    components = observation_components(run.species)
-    shown = partial(Blindfolded, names=[one.name for one in components])
-    return run.roll_out(policy, name, cue, scenario=scenario, wrap=shown)
-
-
-def evaluate_rollouts(
-    run: Run,
-    rollouts: dict[str, Rollouts],
-    *,
-    learner: str,
-    seed: int,
-    demos: Demonstrations | None = None,
-    folds: Sequence[Run] = (),
-) -> Evaluation:
-    """Return rollouts measured and compared with the test recordings of a run.
-
-    Beside them stand the recordings as the fitted locomotion follows them. ``demos`` are others to
-    compare with, whose starts ``rollouts`` had; ``folds`` those of a cross-validation, in which all
-    recordings are tested.
-    """
-    known, species = run.demos, run.species
-    test: Demonstrations | None = demos
-    others: Demonstrations | None = known
-    if folds:
-        test, others = run_set.all_tested(known), None
-        floor = run_set.joined_tracking(folds)
-    else:
-        if test is None:
-            test = known.select(split="test")
-            others = known.select(episodes=np.flatnonzero(known.split != "test"))
-        floor = track(test, species.locomotion, species.arena)
-    return evaluate(
-        rollouts,
-        test,
-        seed=seed,
-        floor=floor,
-        learner=learner,
-        references=others,
-    )
+    names = [one.name for one in observation_components(run.species)]
+    return {
+        name: run.roll_out(
+            policy,
+            name,
+            cue,
+            scenario=scenario,
+            wrap=partial(Blindfolded, names=names) if name == BLIND else lambda policy: policy,
+        )
+        for name, (policy, cue) in policies.items()
+    }
 
 
 def lacking(run: Run) -> list[str]:
@@ -182,14 +143,69 @@ def far_acting_rules(run: Run) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class EvaluatedRuns:
-    """An evaluation of many runs, what it was made from, and what the runs lack, in sentences."""
+    """Runs, and their rollouts by method, beside the recordings that they are tested on.
+
+    ``folds`` are those of a cross-validation, in which all recordings are tested; ``new`` are other
+    recordings than those of the runs. ``seed`` is that of all resampling.
+    """
 
     runs: run_set.RunSet
-    test: Demonstrations
     rollouts: dict[str, Rollouts]
-    evaluation: Evaluation
-    lacking: tuple[str, ...] = ()
-    folds: int = 0
+    folds: Sequence[Run] = ()
+    new: Demonstrations | None = None
+    seed: int = 0
+
+    @property
+    def learner(self) -> str:
+        """The method that a page is about: that of the first run."""
+        return next(iter(self.runs.methods))
+
+    @cached_property
+    def test(self) -> Demonstrations:
+        """The recordings that rollouts are compared with."""
+        if self.folds:
+            return run_set.all_tested(self.runs.demos)
+        return self.runs.demos.select(split="test") if self.new is None else self.new
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        """The rollouts measured and compared with the recordings.
+
+        Beside them stand the recordings as the fitted locomotion follows them.
+        """
+        known, species = self.runs.demos, self.runs.species
+        others: Demonstrations | None = known
+        if self.folds:
+            others, floor = None, run_set.joined_tracking(self.folds)
+        else:
+            floor = track(self.test, species.locomotion, species.arena)
+            if self.new is None:
+                others = known.select(episodes=np.flatnonzero(known.split != "test"))
+        return evaluate(
+            self.rollouts,
+            self.test,
+            seed=self.seed,
+            floor=floor,
+            learner=self.learner,
+            references=others,
+        )
+
+    @cached_property
+    def lacking(self) -> list[str]:
+        """What there is nothing of to compare with, each with what adds it, in sentences."""
+        baseline, found = method_name(BEHAVIOUR_CLONING), []
+        if baseline not in self.rollouts:
+            file = shlex.quote(self.runs.first.settings.file)
+            found = [sentence for run in self.runs.runs for sentence in lacking(run)] or [
+                f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
+                f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
+            ]
+        if UNTRAINED not in self.rollouts:
+            found.append(
+                "There is no untrained network to compare with: 'animarl run' without "
+                "--no-baselines rolls one out"
+            )
+        return found
 
 
 def compare_runs(
@@ -218,29 +234,15 @@ def compare_runs(
     new = None if demos is None else _new_recordings(runs, demos)
     folds = [run_set.trained_folds(run) for run in runs.runs] if new is None else [()]
     crossed = {len(some) for some in folds} == {len(folds[0])} != {0}
-    test = runs.demos.select(split="test") if new is None else new
-    if crossed:
-        test = run_set.all_tested(runs.demos)
 
     def rollouts_of(run: Run) -> dict[str, Rollouts]:
         if crossed:
             return run_set.joined_rollouts(run_set.trained_folds(run))
         if new is None:
             return _stored_rollouts(run, runs)
-        own, scenario = method_name(run.settings.algo), run.starting_from("test", demos=new)
-        return {
-            name: _rolled_out(run, policy, name, cue, scenario)
-            for name, (policy, cue) in _policies(run, run.policy).items()
-            if name == own or name not in runs.methods
-        }
+        return _rolled_out(run, run.starting_from("test", demos=new), without=runs.methods)
 
-    rollouts = _join(runs, rollouts_of)
-    learner = next(iter(runs.methods))
-    evaluation = evaluate_rollouts(
-        runs.first, rollouts, learner=learner, seed=0, demos=new, folds=folds[0] if crossed else ()
-    )
-    lacks = tuple(_absent(runs, rollouts))
-    return EvaluatedRuns(runs, test, rollouts, evaluation, lacks, len(folds[0]) if crossed else 0)
+    return EvaluatedRuns(runs, _join(runs, rollouts_of), folds[0] if crossed else (), new)
 
 
 def _new_recordings(runs: run_set.RunSet, demos: Demonstrations) -> Demonstrations:
@@ -294,23 +296,6 @@ def _join(
     return {name: Rollouts.concatenate(list(some.values()), name) for name, some in parts.items()}
 
 
-def _absent(runs: run_set.RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
-    """Yield what there is nothing of to compare with, each with what adds it."""
-    baseline = method_name(BEHAVIOUR_CLONING)
-    if baseline not in rollouts:
-        asked = [sentence for run in runs.runs for sentence in lacking(run)]
-        file = shlex.quote(runs.first.settings.file)
-        yield from asked or [
-            f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
-            f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
-        ]
-    if UNTRAINED not in rollouts:
-        yield (
-            "There is no untrained network to compare with: 'animarl run' without --no-baselines "
-            "rolls one out"
-        )
-
-
 # -- pages ----------------------------------------------------------------------------------------
 
 
@@ -342,12 +327,16 @@ def evaluate_runs(
     with all_files_or_none(out) as part:
         evaluation.verdict.save(part)
         write_tables(tables | {"verdict": evaluation.verdict.table}, part)
-        run_page(report_inputs(found, settings, made_by)).write(part)
+        run_page(report_inputs(found, evaluation, settings, made_by)).write(part)
     return found
 
 
 def report_inputs(
-    found: EvaluatedRuns, settings: Mapping[str, Any], command: str, created: str = ""
+    found: EvaluatedRuns,
+    evaluation: Evaluation,
+    settings: Mapping[str, Any],
+    command: str,
+    created: str = "",
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
     runs = found.runs
@@ -357,15 +346,15 @@ def report_inputs(
         warnings += [*uninformative_clones(run), *far_acting_rules(run)]
     return ReportInputs(
         title=f"{runs.species.title}: {', '.join(runs.methods)}",
-        learner=next(iter(runs.methods)),
+        learner=found.learner,
         demos=found.test,
         rollouts=found.rollouts,
-        evaluation=found.evaluation,
+        evaluation=evaluation,
         settings={"world": known["world"], "environment": known["environment"], **settings},
         seeds=tuple(sorted({run.settings.seed for run in runs.runs})),
         command=command,
         created=created,
-        folds=found.folds,
+        folds=len(found.folds),
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
         warnings=tuple(warnings),
         **known,

@@ -126,7 +126,7 @@ def inspect_episode(folder: str | Path, episode: int) -> Inspected:
         )
     rollouts = {name: some.select(some.demo == episode) for name, some in stored.items()}
     recording = Rollouts.from_demonstrations(test).select(np.array([episode]))
-    model, runs = run.policy, RunSet({method_name(run.settings.algo): (run,)})
+    model, runs = run.policy, RunSet.of(run)
     decisions = decide_along(
         model.policy,
         run.species,

@@ -31,7 +31,7 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
 from animarl_algos.runs import run_set
-from animarl_algos.runs.evaluating import EvaluatedRuns, evaluate_rollouts, report_inputs, roll_out
+from animarl_algos.runs.evaluating import EvaluatedRuns, report_inputs, roll_out
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -179,13 +179,13 @@ def evaluate_run(run: Run) -> Evaluation:
     Of a run that was cross-validated, those of all folds are compared, with all recordings.
     """
     with run.lock(), run.timed("evaluation"):
-        learner, seed = method_name(run.settings.algo), run.settings.seed
         rollouts, folds = roll_out(run), run_set.trained_folds(run)
         for fold in folds:
             roll_out(fold)
         if folds:
             rollouts = run_set.joined_rollouts(folds)
-        evaluation = evaluate_rollouts(run, rollouts, learner=learner, seed=seed, folds=folds)
+        runs = run_set.RunSet.of(run)
+        evaluation = EvaluatedRuns(runs, rollouts, folds, seed=run.settings.seed).evaluation
         evaluation.save(run.path / "evaluation")
     return evaluation
 
@@ -194,15 +194,11 @@ def report(run: Run) -> Path:
     """Stage 5: the page to show."""
     with run.lock():
         record, folds = run.record, run_set.trained_folds(run)
-        found = EvaluatedRuns(
-            run_set.RunSet({method_name(run.settings.algo): (run,)}),
-            run_set.all_tested(run.demos) if folds else run.demos.select(split="test"),
-            run_set.joined_rollouts(folds) if folds else run.rollouts(),
-            Evaluation.load(run.path / "evaluation"),
-            folds=len(folds),
-        )
+        rollouts = run_set.joined_rollouts(folds) if folds else run.rollouts()
+        found = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
+        evaluation = Evaluation.load(run.path / "evaluation")
         settings = {"run": record["settings"], "learner": record["learner"]}
         settings |= {"reason": record.get("reasons", {})}
         made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-        inputs = report_inputs(found, settings, record["command"], made)
+        inputs = report_inputs(found, evaluation, settings, record["command"], made)
         return write_report(inputs, run.path / PAGE_FILE)

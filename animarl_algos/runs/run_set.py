@@ -66,6 +66,11 @@ class RunSet:
             methods[name].append(run)
         return cls({name: tuple(some) for name, some in methods.items()})
 
+    @classmethod
+    def of(cls, run: Run) -> RunSet:
+        """Return one run by itself."""
+        return cls({method_name(run.settings.algo): (run,)})
+
     @property
     def runs(self) -> Iterator[Run]:
         for some in self.methods.values():
