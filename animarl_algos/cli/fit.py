@@ -1,7 +1,7 @@
 """``animarl fit``: locomotion parameters of recorded individuals, as in the paper's Table 1."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -15,7 +15,7 @@ from animarl_algos.cli import shared
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.fitting import LocomotionFit, fit_locomotion, track
 from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import FAST, joint_locomotion
@@ -70,7 +70,7 @@ STATE_COLUMNS: Columns = {
     split="Episodes to fit: train, val, test or all.",
     bootstrap="Resamples of episodes for the intervals.",
     seed="Seed of the resampling.",
-    out="File for the table: .csv, or .json to use it again.",
+    out="File for the table (.csv).",
 )
 def fit_command(
     file: str,
@@ -98,9 +98,8 @@ def fit_command(
 
       animarl fit episodes_share.npz --method both --split all --out fit.csv
     """
-    if out is not None and out.suffix not in {".csv", ".json"}:
-        raise InputError(f"{out}: the suffix says how to save: use .csv or .json")
     if out is not None:
+        require(out.suffix == ".csv", f"{out}: a table ends in .csv: rename it")
         shared.refuse_overwriting(out, file)
     seed, chosen = SEED.check("seed", seed), shared.named_split(split)
     numbers = parse_numbers("--thrusts", thrusts, MOST_THRUSTS)
@@ -108,27 +107,22 @@ def fit_command(
     for option in ["--thrusts"] * bool(numbers) + ["--states"] * bool(several):
         if method != "joint":
             raise InputError(f"{option} goes with the joint fit: leave --method {method} out")
-    if several and (split != "train" or (out is not None and out.suffix == ".json")):
-        raise InputError(
-            "--states fits train, compares on val and saves a .csv: leave --split out, give a .csv"
-        )
+    if several and split != "train":
+        raise InputError("--states fits train and compares on val: leave --split out")
     demos = shared.load(file, source, takes=(shared.SOURCE,))
-    threshold = None if species is None else get_species(species).recording.onset_threshold
     console = shared.PlainConsole(TABLE_WIDTH)
     if several:
-        fits: list[LocomotionFit] = []
         rows = _compare_states(demos, several, numbers or (1, 3), seed, console)
     elif numbers:
-        if out is not None and out.suffix == ".json" and len(numbers) > 1:
-            raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
-        fits, rows = _compare_thrusts(demos, numbers, chosen, seed, console)
+        rows = _compare_thrusts(demos, numbers, chosen, seed, console)
     else:
-        fits = []
-        for name in list(get_args(Method))[:2] if method == "both" else [method]:
+        threshold = None if species is None else get_species(species).recording.onset_threshold
+        fits: list[LocomotionFit] = []
+        for name in get_args(Method)[:2] if method == "both" else (method,):
             try:
                 fit = fit_locomotion(
                     demos,
-                    name,  # type: ignore[arg-type]
+                    name,
                     onset_threshold=threshold,
                     split=chosen,
                     bootstrap=bootstrap,
@@ -144,15 +138,9 @@ def fit_command(
             for sentence in [*doubts(fit, demos), *noise_warnings(fit, demos)]:
                 console.print(sentence, style="yellow")
         rows = _fit_rows(fits)
-    if out is None:
-        return
-    if out.suffix == ".csv":
+    if out is not None:
         shared.write_csv(out, rows)
-    elif len(fits) == 1:
-        fits[0].save(out)
-    else:
-        raise InputError(f"{out}: a .json holds one fit: choose one --method, or save a .csv")
-    console.print(f"Saved {out}")
+        console.print(f"Saved {out}")
 
 
 def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
@@ -192,24 +180,19 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
     return _table(title, caption, rows)
 
 
-def _table(
-    title: str, caption: str, rows: Sequence[dict[str, Any]], columns: Columns | None = None
-) -> Table:
-    """``columns`` say how values are headed and shown, where these are not texts already."""
-    shown = (
-        rows
-        if columns is None
-        else [
-            {heading: show(row[name]) for name, (heading, show) in columns.items()} for row in rows
-        ]
-    )
+def _table(title: str, caption: str, rows: Sequence[Mapping[str, str]]) -> Table:
+    """Return rows as a table; each has the values by their headings."""
     table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
-    for heading in shown[0]:
+    for heading in rows[0]:
         side: Any = "left" if heading == "individual" else "right"
         table.add_column(heading, justify=side, no_wrap=True)
-    for row in shown:
+    for row in rows:
         table.add_row(*map(Text, row.values()))
     return table
+
+
+def _shown(rows: Iterable[Mapping[str, Any]], columns: Columns) -> list[dict[str, str]]:
+    return [{heading: show(row[name]) for name, (heading, show) in columns.items()} for row in rows]
 
 
 def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
@@ -280,7 +263,7 @@ def _compare_thrusts(
     split: str | None,
     seed: int,
     console: shared.PlainConsole,
-) -> tuple[list[LocomotionFit], list[dict[str, object]]]:
+) -> list[dict[str, object]]:
     """Fit each number of thrust magnitudes and print how closely it follows the episodes.
 
     Also says which number ``animarl run`` chooses, among those that it tries.
@@ -312,11 +295,13 @@ def _compare_thrusts(
         "speeds over the mean recorded speed. Floor: how often a classifier ranks tracked motion "
         "above recorded motion (0.5: cannot tell them apart). Lengths in arena units."
     )
-    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, rows, THRUST_COLUMNS))
+    console.print(
+        _table(f"Thrust magnitudes of {seen.species}", caption, _shown(rows, THRUST_COLUMNS))
+    )
     if len(numbers) > 1:
         best, reason = choose_thrusts(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")
-    return fits, [row | {"magnitudes": " ".join(map(str, row["magnitudes"]))} for row in rows]
+    return [row | {"magnitudes": " ".join(map(str, row["magnitudes"]))} for row in rows]
 
 
 def _compare_states(
@@ -370,7 +355,7 @@ def _compare_states(
         "Floor: how often a classifier ranks motion that follows the recordings in closed loop, in "
         "the states they were in, above recorded motion (0.5: cannot tell them apart)."
     )
-    console.print(_table(f"States of {demos.species}", caption, rows, STATE_COLUMNS))
+    console.print(_table(f"States of {demos.species}", caption, _shown(rows, STATE_COLUMNS)))
     number = thrust_choice.choose_thrusts(demos, seed=seed)[0]
     usual = thrust_choice.tracking_floor(seen, joint_locomotion(seen, number), seed=seed).estimate
     lowest = int(np.nanargmin(floors)) if np.isfinite(floors).any() else 0
