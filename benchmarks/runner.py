@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from statistics import mean
 
-from animarl_algos.benchmark.pieces import Piece, Watch, Workers, attempt, perform_all
+from animarl_algos.benchmark.pieces import Piece, attempt, perform_all
 from animarl_algos.runs.run_files import write_json
 
 PROCESSES, FEW = 2, 10
@@ -36,14 +36,6 @@ class Nothing(Piece):
         write_json(self.folder(out) / "cost.json", {"processor_seconds": 0.0})
 
 
-class Failing(Watch):
-    """A piece that fails ends it."""
-
-    def ended(self, piece: Piece, error: str | None) -> None:
-        if error:
-            raise RuntimeError(error)
-
-
 def alone(pieces: list[Nothing], out: Path) -> float:
     """Processor seconds of the runner per piece, in this process."""
     begun = time.process_time()
@@ -59,9 +51,9 @@ def alone(pieces: list[Nothing], out: Path) -> float:
 def of_all(number: int, out: Path) -> float:
     """Processor seconds of new processes and this one for so many pieces."""
     begun = processor_time()
-    with Workers(PROCESSES) as workers:
-        pieces = [Nothing(f"{number}-{i}") for i in range(number)]
-        perform_all(pieces, out, workers, Failing())
+    for _, error in perform_all([Nothing(f"{number}-{i}") for i in range(number)], out, PROCESSES):
+        if error:
+            raise RuntimeError(error)
     return processor_time() - begun
 
 

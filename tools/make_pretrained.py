@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from animarl_algos.benchmark.matrix import claim_folder, plan, read_matrix
-from animarl_algos.benchmark.pieces import Cell, Piece, Watch, Workers, perform_all
+from animarl_algos.benchmark.pieces import Cell, perform_all
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
@@ -34,26 +34,6 @@ from animarl_envs.worlds import make_world
 
 PRESET = "short"
 REPETITIONS = 5
-
-
-class Printed(Watch):
-    """What is done, line by line."""
-
-    def __init__(self) -> None:
-        self.failed: list[str] = []
-        self.begun: dict[str, float] = {}
-
-    def started(self, piece: Piece) -> None:
-        print(f"{piece.name} begins", flush=True)
-        self.begun[piece.name] = time.monotonic()
-
-    def ended(self, piece: Piece, error: str | None) -> None:
-        if error is None:
-            return
-        seconds = time.monotonic() - self.begun[piece.name]
-        print(f"{piece.name}: {error or f'{seconds:.0f} s'}", flush=True)
-        if error:
-            self.failed.append(error)
 
 
 def validation_mismatch(run: Run) -> float:
@@ -80,11 +60,18 @@ def make(
     wanted = [f"{name}/{r}/{seed}" for name in names for r in recipes for seed in seeds]
     asked = plan(read_matrix(PRESET)).only(wanted)
     claim_folder(out)
-    printed = Printed()
-    with Workers(processes) as workers:
-        perform_all(asked.pieces, out, workers, printed)
-    if printed.failed:
-        raise InputError(printed.failed[0])
+    begun: dict[str, float] = {}
+    failed = []
+    for piece, error in perform_all(asked.pieces, out, processes):
+        if error is None:
+            begun[piece.name] = time.monotonic()
+        elif error:
+            failed.append(error)
+        seconds = time.monotonic() - begun[piece.name]
+        said = "begins" if error is None else error or f"{seconds:.0f} s"
+        print(f"{piece.name}: {said}", flush=True)
+    if failed:
+        raise InputError(failed[0])
     by_species: dict[str, list[Cell]] = {}
     for cell in asked.cells:
         by_species.setdefault(cell.data, []).append(cell)

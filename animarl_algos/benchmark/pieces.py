@@ -21,7 +21,7 @@ import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -89,10 +89,6 @@ class Piece(ABC):
         """Whether its result is there."""
         return (self.folder(out) / self.RESULT).exists()
 
-    def lacks(self, out: Path) -> str:
-        """Return what it needs and is not there; empty if it can be done."""
-        return ""
-
     @abstractmethod
     def perform(self, out: Path) -> None:
         """Make the result, going on from what an earlier attempt left."""
@@ -149,16 +145,16 @@ class InWorld(Piece):
     fold: int | None = None
 
     def world_run(self, out: Path) -> Run:
+        """Return the fitted world; raise InputError if it is not there."""
         name = _world_name(self.data, self.fold).replace("/", "-")
-        return Run(out / "worlds" / f"{name}-{self.world}")
+        run = Run(out / "worlds" / f"{name}-{self.world}")
+        if not (run.path / FittedWorld.RESULT).exists():
+            raise InputError(f"the world of {self.data} could not be fitted")
+        return run
 
     @property
     def needs(self) -> tuple[str, ...]:
         return (_world_name(self.data, self.fold),)
-
-    def lacks(self, out: Path) -> str:
-        there = (self.world_run(out).path / FittedWorld.RESULT).exists()
-        return "" if there else f"the world of {self.data} could not be fitted"
 
     def _opened(self, settings: RunSettings, out: Path) -> Run:
         world = self.world_run(out)
@@ -308,11 +304,9 @@ class Scoring(Piece):
     def needs(self) -> tuple[str, ...]:
         return tuple(cell.name for cell in self.cells)
 
-    def lacks(self, out: Path) -> str:
-        lacking = [cell.name for cell in self.cells if not cell.finished(out)]
-        return f"{', '.join(lacking)} did not finish" if lacking else ""
-
     def perform(self, out: Path) -> None:
+        if lacking := [cell.name for cell in self.cells if not cell.finished(out)]:
+            raise InputError(f"{', '.join(lacking)} did not finish")
         first = self.cells[0]
         made = [(cell.world_run(out).demos, cell.rollouts(out)) for cell in self.cells]
         joined = Rollouts.concatenate([rollouts for _, rollouts in made], first.method)
@@ -387,9 +381,7 @@ def attempt(piece: Piece, out: Path) -> str | None:
         with FileLock(folder / LOCK, timeout=0):
             if piece.finished(out):  # by another command, before this one looked
                 return ""
-            if said := piece.lacks(out):
-                piece.record_error(out, said)
-                return said
+            said = ""
             (folder / ERROR).unlink(missing_ok=True)
             try:
                 with threadpool_limits(1), warnings.catch_warnings(record=True) as warned:
@@ -411,20 +403,10 @@ ATTEMPTS = 2  # of a piece whose process died
 LOOK_AGAIN = 1.0  # [s] until a piece that another command is at is asked for again
 
 
-class Watch:
-    """Is told what happens; this one says nothing."""
-
-    def started(self, piece: Piece) -> None:
-        pass
-
-    def ended(self, piece: Piece, error: str | None) -> None:
-        """It is done, with an error or an empty one; None: another command is at it for now."""
-
-
-class Workers:
+class _Workers:
     """This process, or several that last over all pieces; new ones only after one of them died."""
 
-    def __init__(self, processes: int = 1) -> None:
+    def __init__(self, processes: int) -> None:
         self.number = processes  # side by side
         self._pool: ProcessPoolExecutor | None = None
 
@@ -459,49 +441,52 @@ class Workers:
         return self._pool
 
 
-def perform_all(pieces: Iterable[Piece], out: Path, workers: Workers, watch: Watch) -> None:
+def perform_all(
+    pieces: Iterable[Piece], out: Path, processes: int = 1
+) -> Iterator[tuple[Piece, str | None]]:
     """Do whatever is not finished; errors are recorded, and the rest goes on.
 
-    A piece begins after what it needs has ended, well or badly: it looks what is there. One that
-    another command is at comes up again after ``LOOK_AGAIN`` seconds.
+    A piece is yielded as it begins, with None, and as it ends, with its error or an empty one. It
+    begins after what it needs has ended, well or badly: it looks what is there. One that another
+    command is at begins again after ``LOOK_AGAIN`` seconds.
     """
     later = [piece for piece in pieces if not piece.finished(out)]
     left = {piece.name for piece in later}
     deaths: Counter[str] = Counter()
     not_before: dict[str, float] = {}
     running: dict[Future[str | None], Piece] = {}
-    while later or running:
-        now = time.monotonic()
-        ready = [
-            piece
-            for piece in later
-            if left.isdisjoint(piece.needs) and not_before.get(piece.name, now) <= now
-        ]
-        for piece in ready[: workers.number - len(running)]:
-            later = [other for other in later if other is not piece]
-            watch.started(piece)
-            running[workers.submit(piece, out)] = piece
-        if not running:
-            time.sleep(LOOK_AGAIN)
-        for future in wait(running, LOOK_AGAIN, FIRST_COMPLETED).done:
-            piece = running.pop(future)
-            try:
-                error = future.result()
-            except BrokenProcessPool:
-                deaths[piece.name] += 1
-                if deaths[piece.name] < ATTEMPTS:
+    with _Workers(processes) as workers:
+        while later or running:
+            now = time.monotonic()
+            ready = [
+                piece
+                for piece in later
+                if left.isdisjoint(piece.needs) and not_before.get(piece.name, now) <= now
+            ]
+            for piece in ready[: processes - len(running)]:
+                later = [other for other in later if other is not piece]
+                yield piece, None
+                running[workers.submit(piece, out)] = piece
+            if not running:
+                time.sleep(LOOK_AGAIN)
+            for future in wait(running, LOOK_AGAIN, FIRST_COMPLETED).done:
+                piece = running.pop(future)
+                try:
+                    error = future.result()
+                except BrokenProcessPool:
+                    deaths[piece.name] += 1
+                    if deaths[piece.name] < ATTEMPTS:
+                        later.append(piece)
+                        continue
+                    error = f"its process died {ATTEMPTS} times (see to the memory)"
+                if error is None:
+                    not_before[piece.name] = time.monotonic() + LOOK_AGAIN
                     later.append(piece)
                     continue
-                error = f"its process died {ATTEMPTS} times (see to the memory)"
-            if error is None:
-                not_before[piece.name] = time.monotonic() + LOOK_AGAIN
-                later.append(piece)
-                watch.ended(piece, None)
-                continue
-            if error != piece.error(out):  # of a process that could not write it
-                piece.record_error(out, error)
-            left.remove(piece.name)
-            watch.ended(piece, error)
+                if error != piece.error(out):  # of a process that could not write it
+                    piece.record_error(out, error)
+                left.remove(piece.name)
+                yield piece, error
 
 
 def _end_politely() -> None:

@@ -25,7 +25,7 @@ from animarl_algos.benchmark.matrix import (
     read_matrix,
 )
 from animarl_algos.benchmark.methods import parse_method
-from animarl_algos.benchmark.pieces import Cell, Clone, Piece, Watch, Workers, perform_all
+from animarl_algos.benchmark.pieces import Cell, Clone, Piece, perform_all
 from animarl_algos.benchmark.scores import score_submission
 from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_algos.evaluation.statistics import interval
@@ -100,16 +100,16 @@ def benchmark_command(
     if show:
         console.print(_listing(asked, out))
         return
-    watch = Shown(asked, out, console)
-    with Workers(processes) as workers:
-        claim_folder(out)
-        with watch.progress:
-            perform_all(asked.pieces, out, workers, watch)
-    for name, error in watch.causes():
-        console.print(f"\n{name} failed: {error}", soft_wrap=True)
+    claim_folder(out)
+    shown = Shown(asked, out, console)
+    with shown.progress:
+        for piece, error in perform_all(asked.pieces, out, processes):
+            shown.tell(piece, error)
+    for name, cause in shown.causes():
+        console.print(f"\n{name} failed: {cause}", soft_wrap=True)
     page = write_leaderboard(whole, out, shlex.join(["animarl", *sys.argv[1:]]))
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
-    if watch.failed:
+    if shown.failed:
         raise typer.Exit(1)
 
 
@@ -140,7 +140,7 @@ def score_command(file: Path, species: str) -> None:
     )
 
 
-class Shown(Watch):
+class Shown:
     """How far each stage is, what failed, what runs, and about how long it will take."""
 
     def __init__(self, asked: Plan, out: Path, console: Console) -> None:
@@ -154,22 +154,18 @@ class Shown(Watch):
             there = sum(piece.finished(out) for piece in stage)
             task = self.progress.add_task(title, total=len(stage), completed=there, said="")
             self._stages |= {piece.name: task for piece in stage}
-        self._running: list[str] = []
+        self._running: dict[str, Piece] = {}
 
-    def started(self, piece: Piece) -> None:
-        self._running.append(piece.name)
-        self._say(piece)
-
-    def ended(self, piece: Piece, error: str | None) -> None:
-        self._running.remove(piece.name)
-        if error:
-            self.failed.append((piece, error))
-        elif error is not None:
-            self.progress.advance(self._stages[piece.name])
-        self._say(piece)
-
-    def _say(self, piece: Piece) -> None:
+    def tell(self, piece: Piece, error: str | None) -> None:
+        """A piece begins (None), or has ended with an error or an empty one."""
+        self._running.pop(piece.name, None)
         task = self._stages[piece.name]
+        if error is None:
+            self._running[piece.name] = piece
+        elif error:
+            self.failed.append((piece, error))
+        else:
+            self.progress.advance(task)
         failed = sum(self._stages[other.name] == task for other, _ in self.failed)
         running = [name for name in self._running if self._stages[name] == task]
         said = ", ".join([f"{failed} failed"] * bool(failed) + running[:MOST_NAMES])

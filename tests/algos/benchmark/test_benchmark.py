@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from animarl_algos.benchmark.matrix import (
     plan,
     read_matrix,
 )
-from animarl_algos.benchmark.pieces import LOCK, Piece, Watch, Workers, attempt, perform_all
+from animarl_algos.benchmark.pieces import LOCK, Piece, attempt, perform_all
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -52,22 +52,13 @@ TINY: dict[str, Any] = {
 }
 
 
-class Told(Watch):
-    """What was started and how it ended."""
+class Told:
+    """What was started, and how it ended."""
 
-    def __init__(self) -> None:
-        self.begun: list[str] = []
-        self.errors: dict[str, str] = {}
-        self.elsewhere: list[str] = []
-
-    def started(self, piece: Piece) -> None:
-        self.begun.append(piece.name)
-
-    def ended(self, piece: Piece, error: str | None) -> None:
-        if error is None:
-            self.elsewhere.append(piece.name)
-        elif error:
-            self.errors[piece.name] = error
+    def __init__(self, pieces: Iterable[Piece], out: Path, processes: int = 1) -> None:
+        told = list(perform_all(pieces, out, processes))
+        self.begun = [piece.name for piece, error in told if error is None]
+        self.errors = {piece.name: error for piece, error in told if error}
 
 
 def tiny(**changed: Any) -> Matrix:
@@ -82,10 +73,8 @@ def run(matrix: Matrix, out: Path, *, processes: int = 1, only: Sequence[str] = 
 
 
 def run_plan(asked: Plan, out: Path, processes: int = 1) -> Told:
-    told = Told()
     claim_folder(out)
-    with Workers(processes) as workers:
-        perform_all(asked.pieces, out, workers, told)
+    told = Told(asked.pieces, out, processes)
     write_leaderboard(asked, out)
     return told
 
@@ -207,8 +196,7 @@ def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
     (folder / "settings.json").write_text("{")
     assert "damaged" in attempt(broken, tmp_path)
     assert "damaged" in broken.error(tmp_path)
-    told = Told()
-    perform_all(replace(asked, worlds=(broken,)).pieces, tmp_path, Workers(), told)
+    told = Told(replace(asked, worlds=(broken,)).pieces, tmp_path)
     assert "could not be fitted" in told.errors["agent/still/0"]
 
 
@@ -331,7 +319,7 @@ def test_commands_share_the_pieces(
 ) -> None:
     """What another command is at is left to it, others are done first; then it is looked for."""
     monkeypatch.setattr(pieces, "LOOK_AGAIN", 0.05)
-    asked, told = plan(tiny()), Told()
+    asked = plan(tiny())
     claim_folder(tmp_path)
     first = asked.cells[0]
     first.folder(tmp_path).mkdir(parents=True)
@@ -345,9 +333,9 @@ def test_commands_share_the_pieces(
 
     waiting = threading.Thread(target=let_go, daemon=True)
     waiting.start()
-    perform_all(asked.pieces, tmp_path, Workers(), told)
+    told = Told(asked.pieces, tmp_path)
     waiting.join(60)
-    assert first.name in told.elsewhere and told.begun.index(first.name) < len(told.begun) - 1
+    assert told.begun.count(first.name) > 1 and told.begun.index(first.name) < len(told.begun) - 1
     write_leaderboard(asked, tmp_path)
     assert not told.errors and bytes_of(tmp_path) == bytes_of(finished)
 
