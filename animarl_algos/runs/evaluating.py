@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.pretraining import few_or_count
 from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
@@ -101,9 +103,18 @@ def uninformative_clones(run: Run) -> list[str]:
     cloning = run.record["learner"].get("offline_loss") == OfflineLoss.CLONING
     if not cloning and named_recipe(algo).algorithm.recipe.selection is Selection.MEAN_RANK:
         return []  # its values are no logits
-    curves = run.learning_curves()
-    own = curves[(curves["method"] == algo) & (curves["phase"] == "offline")]
-    best = own[own["quantity"].str.startswith(INFORMATION)].groupby("quantity")["value"].min()
+    tables = [pd.DataFrame()]
+    for file in sorted((run.path / "logs" / algo).glob("*/progress.csv")):
+        try:
+            tables.append(pd.read_csv(file))
+        except pd.errors.EmptyDataError:
+            continue
+        except (pd.errors.ParserError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"{file}: the table cannot be read ({summarise_error(error)}): remove it, "
+                "or train again"
+            ) from None
+    best = pd.concat(tables).filter(regex=f"^{INFORMATION}").min().sort_index()
     several = len(best) > 1
     names = [
         str(name).removeprefix(INFORMATION).removeprefix("/") or "all individuals"

@@ -53,8 +53,6 @@ from animarl_envs.species.traits import TRAITS
 from animarl_envs.worlds import make_world
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from animarl_algos.whatif.answer import WhatIf
 
 DEMONSTRATIONS = "demonstrations.npz"
@@ -379,10 +377,6 @@ class Run:
                 f"{file}: it is not a policy of this run ({summarise_error(error)}): "
                 "remove it and train again"
             ) from None
-
-    def learning_curves(self) -> pd.DataFrame:
-        """Return all logged quantities: ``method, phase, seed, step, quantity, value``."""
-        return run_files.logged_curves(self.path / "logs", self.settings.seed)
 
     # -- how they act -----------------------------------------------------------------------------
 

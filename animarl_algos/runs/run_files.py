@@ -1,4 +1,4 @@
-"""What lies in a run's folder: weights, learning curves, and what the run was made with and on."""
+"""What lies in a run's folder: weights, and what the run was made with and on."""
 
 import importlib.metadata
 import json
@@ -9,16 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import torch
 
-from animarl_algos.learner.checkpoint import load_tensors, summarise_error
-from animarl_envs.errors import InputError, require_extra
+from animarl_algos.learner.checkpoint import load_tensors
+from animarl_envs.errors import require_extra
 from animarl_envs.files import write_then_rename
 
 OWN, GIVEN = ".pt", ".safetensors"
 """Weights: torch's own within a run, safetensors, which hold no code, to give away."""
-CURVE_COLUMNS = ["method", "phase", "seed", "step", "quantity", "value"]
 PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
     "scipy", "stable-baselines3", "torch",
@@ -65,38 +63,6 @@ def _safetensors() -> Any:
     with require_extra("a model as safetensors", "algos"):
         from safetensors import torch as formats
     return formats
-
-
-# -- learning curves ------------------------------------------------------------------------------
-
-
-def logged_curves(logs: Path, seed: int) -> pd.DataFrame:
-    """Return all quantities that were logged: ``method, phase, seed, step, quantity, value``.
-
-    Raises InputError if a table is damaged.
-    """
-    found = [pd.DataFrame(columns=[c for c in CURVE_COLUMNS if c != "seed"])]
-    for file in sorted(logs.glob("*/*/progress.csv")):
-        if file.stat().st_size == 0:
-            continue
-        try:
-            table = pd.read_csv(file)
-        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"{file}: the table cannot be read ({summarise_error(error)}): remove it, "
-                "or train again"
-            ) from None
-        for phase, step, kinds in (
-            ("offline", "offline/epoch", ("offline/",)),
-            ("online", "time/total_timesteps", ("rollout/", "train/")),
-        ):
-            if step in table:
-                columns = [c for c in map(str, table) if c.startswith(kinds) and c != step]
-                long = table.melt(id_vars=step, value_vars=columns, var_name="quantity").dropna()
-                long = long.rename(columns={step: "step"})
-                found.append(long.assign(method=file.parent.parent.name, phase=phase))
-    curves = pd.concat(found[1:] or found, ignore_index=True).assign(seed=seed)
-    return curves.drop_duplicates(CURVE_COLUMNS[:-1], keep="last")[CURVE_COLUMNS]
 
 
 # -- versions and machine -------------------------------------------------------------------------

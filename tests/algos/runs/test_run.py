@@ -269,14 +269,12 @@ def test_machine_times_and_settings_are_told_in_words() -> None:
 
 
 def run_of(folder: Path, algo: str, curves: dict[str, list[float]]) -> SimpleNamespace:
-    rows = [
-        {"method": algo, "phase": "offline", "quantity": INFORMATION + name, "value": value}
-        for name, values in curves.items()
-        for value in values
-    ]
+    log = folder / "logs" / algo / "000"
+    log.mkdir(parents=True, exist_ok=True)
+    table = pd.DataFrame({INFORMATION + name: values for name, values in curves.items()})
+    table.to_csv(log / "progress.csv", index=False)
     return SimpleNamespace(
         path=folder, settings=SimpleNamespace(algo=algo), record={"learner": {}},
-        learning_curves=lambda: pd.DataFrame(rows),
         acting_file=lambda name: folder / "policies" / f"{name}.acting.json",
     )  # fmt: skip
 
