@@ -95,12 +95,11 @@ def benchmark_command(
     methods = dict(parse_method(given) for given in method or [])
     whole = plan(matrix, methods, matrix_file(preset, config))
     asked = whole.only(only or [])
-    claim_folder(out, mark=False)
+    claim_folder(out, mark=not show)
     console = PlainConsole(least_width=100)
     if show:
         console.print(_listing(asked, out))
         return
-    claim_folder(out)
     shown = Shown(asked, out, console)
     with shown.progress:
         for piece, error in perform_all(asked.pieces, out, processes):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from typer import Option
 
-from animarl_algos.cli.shared import PlainConsole, helps
+from animarl_algos.cli.shared import PlainConsole, helps, load
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED
 
@@ -61,8 +61,6 @@ def evaluate_command(
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import evaluate_runs, lacking
     from animarl_algos.runs.run import Run
-    from animarl_envs.demos.demonstrations import Demonstrations
-    from animarl_envs.demos.packaged import load_packaged, packaged_names
 
     missing: Sequence[str]
     if out is not None:
@@ -71,11 +69,7 @@ def evaluate_command(
                 "--acting does not go with --out, which compares rollouts that are there: give it "
                 "to 'animarl evaluate RUN'"
             )
-        given = None
-        if demos is not None:
-            packaged = demos in packaged_names()
-            given = load_packaged(demos) if packaged else Demonstrations.load(demos)
-        found = evaluate_runs(runs, out, demos=given)
+        found = evaluate_runs(runs, out, demos=None if demos is None else load(demos))
         evaluation, missing = found.evaluation, found.lacking
     else:
         if demos is not None:
