@@ -8,12 +8,12 @@ rollouts does not know of it; runs trained with permuted conditions (:func:`perm
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.collect import Cue, Policy
 from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
@@ -109,21 +109,19 @@ def episode_table(found: CounterfactualInputs) -> pd.DataFrame:
     """Return a row per rollout and recording, measured; ``answer`` says what was asked."""
     test = found.demos
     parts = [measure_recordings(test).assign(answer="recorded")]
-
-    def add(rollouts: Rollouts | None, method: str, answer: str) -> None:
-        if rollouts is not None:
-            parts.append(measure(rollouts, test).assign(method=method, answer=answer))
-
     for name, one in found.asked.items():
-        for kind, answers in (
-            ("", one.trained), ("untrained, ", one.untrained), ("flag zeroed, ", one.blind)
-        ):  # fmt: skip
-            if answers is not None:
-                add(answers.factual, name, f"{kind}factual")
-                add(answers.flipped, name, f"{kind}flipped")
-        add(one.world, name, "other world")
-    for team in found.teams or ():
-        add(team, team.method, "truth")
+        told = {"": one.trained, "untrained, ": one.untrained, "flag zeroed, ": one.blind}
+        answers = {
+            f"{kind}{what}": rollouts
+            for kind, pair in told.items()
+            if pair is not None
+            for what, rollouts in pair._asdict().items()
+        }
+        if one.world is not None:
+            answers["other world"] = one.world
+        for answer, rollouts in answers.items():
+            parts.append(measure(rollouts, test).assign(method=name, answer=answer))
+    parts += [measure(team, test).assign(answer="truth") for team in found.teams or ()]
     return pd.concat(parts, ignore_index=True)
 
 
@@ -143,10 +141,7 @@ def _ask(
                 f"{run.path}: {name} was never told the condition, so it cannot be told another: "
                 "leave it out"
             )
-
-        def ask(policy: Policy, kind: str, cue: Cue, draws: int = 0, run: Run = run) -> Rollouts:
-            return run.roll_out(policy, kind, cue, repetitions=repetitions, draws=draws)
-
+        ask = partial(run.roll_out, repetitions=repetitions)
         parts[name].append((ask(model, name, "actual"), ask(model, name, "flipped")))
         untrained = run.untrained()
         parts[UNTRAINED].append(
@@ -158,9 +153,7 @@ def _ask(
             conditions: tuple[Condition, ...] = (0, 1)
             for condition in conditions:  # every start, in the world of the other one, told so
                 scenario = run.starting_from("test", condition)
-                all_ = run.roll_out(
-                    model, name, "actual", scenario=scenario, repetitions=repetitions
-                )
+                all_ = ask(model, name, "actual", scenario=scenario)
                 worlds.append(all_.select(test.condition[all_.demo] != condition))
         found = model.demonstrated_values(model.demonstration_data().val).treatment_accuracy
         if found is not None:
