@@ -105,9 +105,9 @@ def benchmark_command(
         for piece, error in perform_all(asked.pieces, out, processes):
             shown.tell(piece, error)
     for name, cause in shown.causes():
-        console.print(f"\n{name} failed: {cause}", soft_wrap=True)
+        console.print(f"\n{name} failed: {cause}")
     page = write_leaderboard(whole, out, shlex.join(["animarl", *sys.argv[1:]]))
-    console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
+    console.print(f"\nOpen {page}")
     if shown.failed:
         raise typer.Exit(1)
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.table import Table
 from typer import Option
 
 from animarl_algos.cli.shared import PlainConsole, helps, load
@@ -18,7 +19,6 @@ from animarl_envs.scenario import PACKAGED
 
 if TYPE_CHECKING:
     import pandas as pd
-    from rich.console import Console
 
     from animarl_algos.runs.run import Run
     from animarl_algos.whatif.answer import Answer
@@ -219,15 +219,13 @@ def whatif_command(
 
       animarl whatif runs/both --change condition=shared --permutations 20
     """
-    from rich.console import Console
-
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
     from animarl_algos.whatif.answer import ask
     from animarl_algos.whatif.answer_page import save_answers
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
 
-    console, change = Console(), change or []
+    console, change = PlainConsole(), change or []
     loaded = [load_run(run) for run in runs]
     nulls: list[Run] = []
     if permutations:
@@ -261,7 +259,7 @@ def whatif_command(
         *["--separately"] * separately, *["--knows"] * knows,
     ]  # fmt: skip
     save_answers(found, out, command=shlex.join(command), versions=versions())
-    console.print(f"Tables, text, figures and the page report.html: {out}", highlight=False)
+    console.print(f"Tables, text, figures and the page report.html: {out}")
 
 
 @helps(
@@ -281,8 +279,6 @@ def page_command(run: Path, out: Path = Path("what-if.html"), species: str | Non
 
       animarl page packaged --species agent --out what-if.html
     """
-    from rich.console import Console
-
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.whatif.live_page import write_page
 
@@ -290,41 +286,38 @@ def page_command(run: Path, out: Path = Path("what-if.html"), species: str | Non
     if species is not None and not packaged:
         raise InputError(f"--species {species} goes with 'packaged': leave it out for {run}")
     file = write_page(load_run((species or "agent") if packaged else run), out)
-    Console().print(f"{file}: open it in a browser", highlight=False)
+    PlainConsole().print(f"{file}: open it in a browser")
 
 
-def _print_unchanged(console: Console, unchanged: pd.DataFrame) -> None:
+def _print_unchanged(console: PlainConsole, unchanged: pd.DataFrame) -> None:
     """Print how far the unchanged simulation is from the recordings, before any answer is ready."""
-    from rich.table import Table
-
-    table = Table(title="unchanged world", title_justify="left", box=None)
-    table.add_column("quantity", no_wrap=True)
-    for column in ("recorded", "baseline", "gap"):
-        table.add_column(column, justify="right")
+    table = _table("unchanged world", "recorded", "baseline", "gap")
     for _, row in unchanged.iterrows():
         numbers = (f"{row['recorded']:.3g}", f"{row['baseline']:.3g}", f"{row['gap']:+.3g}")
-        table.add_row(f"{row['quantity']} \\[{row['unit']}]", *numbers)
+        table.add_row(f"{row['quantity']} [{row['unit']}]", *numbers)
     console.print(table)
 
 
-def _print(console: Console, answer: Answer) -> None:
+def _print(console: PlainConsole, answer: Answer) -> None:
     """Print one answer as it is ready."""
-    from rich.table import Table
-
     from animarl_algos.whatif.answer_page import asides
 
-    table = Table(title=answer.scenario.name, title_justify="left", box=None)
-    table.add_column("quantity", no_wrap=True)
-    for column in ("recorded", "baseline", "changed"):
-        table.add_column(column, justify="right")
-    table.add_column("shift \\[95 % interval]")
+    table = _table(answer.scenario.name, "recorded", "baseline", "changed")
+    table.add_column("shift [95 % interval]")
     for _, row in answer.table.iterrows():
-        style = "" if row["finding"] else "dim"
         table.add_row(
             row["quantity"], *(f"{row[key]:.3g}" for key in ("recorded", "baseline", "changed")),
-            f"{row['shift']:+.3g} \\[{row['low']:.3g}, {row['high']:.3g}] {row['unit']}",
-            style=style,
+            f"{row['shift']:+.3g} [{row['low']:.3g}, {row['high']:.3g}] {row['unit']}",
+            style="" if row["finding"] else "dim",
         )  # fmt: skip
     console.print(table)
     for sentence in asides(answer):
-        console.print(sentence, style=COLOURS[answer.warning], highlight=False, markup=False)
+        console.print(sentence, style=COLOURS[answer.warning])
+
+
+def _table(title: str, *numbers: str) -> Table:
+    table = Table(title=title, title_justify="left", box=None)
+    table.add_column("quantity", no_wrap=True)
+    for column in numbers:
+        table.add_column(column, justify="right")
+    return table
