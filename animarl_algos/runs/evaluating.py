@@ -5,7 +5,7 @@ Nothing is trained here.
 
 import json
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -243,17 +243,24 @@ def compare_runs(
     """
     runs = run_set.RunSet.open(folders)
     new = None if demos is None else _new_recordings(runs, demos)
-    folds = [run_set.trained_folds(run) for run in runs.runs] if new is None else [()]
-    crossed = {len(some) for some in folds} == {len(folds[0])} != {0}
-
-    def rollouts_of(run: Run) -> dict[str, Rollouts]:
+    folds = [run_set.trained_folds(run) if new is None else () for run in runs.runs]
+    crossed = bool(folds[0]) and len({len(some) for some in folds}) == 1
+    # A method that runs were made for is taken from these alone; of what several runs hold to
+    # compare with, the first of each seed counts.
+    parts: dict[str, dict[int, Rollouts]] = {name: {} for name in runs.methods}
+    for run, own_folds in zip(runs.runs, folds):
         if crossed:
-            return run_set.joined_rollouts(run_set.trained_folds(run))
-        if new is None:
-            return _stored_rollouts(run, runs)
-        return _rolled_out(run, run.starting_from("test", demos=new), without=runs.methods)
-
-    return EvaluatedRuns(runs, _join(runs, rollouts_of), folds[0] if crossed else (), new)
+            found = run_set.joined_rollouts(own_folds)
+        elif new is None:
+            found = _stored_rollouts(run, runs)
+        else:
+            found = _rolled_out(run, run.starting_from("test", demos=new), without=runs.methods)
+        own = method_name(run.settings.algo)
+        for name, some in found.items():
+            if name == own or name not in runs.methods:
+                parts.setdefault(name, {}).setdefault(run.settings.seed, some)
+    rollouts = {name: Rollouts.concatenate(list(p.values()), name) for name, p in parts.items()}
+    return EvaluatedRuns(runs, rollouts, folds[0] if crossed else (), new)
 
 
 def _new_recordings(runs: run_set.RunSet, demos: Demonstrations) -> Demonstrations:
@@ -288,23 +295,6 @@ def _stored_rollouts(run: Run, runs: run_set.RunSet) -> dict[str, Rollouts]:
                 f"them again with 'animarl evaluate {run.path}'"
             )
     return found
-
-
-def _join(
-    runs: run_set.RunSet, rollouts_of: Callable[[Run], dict[str, Rollouts]]
-) -> dict[str, Rollouts]:
-    """Return all seeds joined by method: those of the runs, then what these compare with.
-
-    A method that a run was made for is taken from such runs alone; of what several runs hold to
-    compare with, the first of each seed counts.
-    """
-    parts: dict[str, dict[int, Rollouts]] = {name: {} for name in runs.methods}
-    for run in runs.runs:
-        own = method_name(run.settings.algo)
-        for name, rollouts in rollouts_of(run).items():
-            if name == own or name not in runs.methods:
-                parts.setdefault(name, {}).setdefault(run.settings.seed, rollouts)
-    return {name: Rollouts.concatenate(list(some.values()), name) for name, some in parts.items()}
 
 
 # -- pages ----------------------------------------------------------------------------------------
