@@ -190,10 +190,7 @@ def read_matrix(preset: str, config: Path | None = None) -> Matrix:
     content = read_yaml(config or Path(str(FOLDER / f"{preset}.yml")))
     if not isinstance(content, dict):
         raise InputError(f"{place}: it holds no table: give species, recipes and seeds")
-    try:
-        return Matrix(**content)
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
+    return Matrix.of(content, f"{place}: ")
 
 
 def matrix_file(preset: str, config: Path | None = None) -> str:

@@ -1,7 +1,5 @@
 """``animarl benchmark``: every method, every species, every seed, and a leaderboard."""
 
-import shlex
-import sys
 from pathlib import Path
 
 import typer
@@ -27,7 +25,7 @@ from animarl_algos.benchmark.matrix import (
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import Cell, Clone, Piece, perform_all
 from animarl_algos.benchmark.scores import score_submission
-from animarl_algos.cli.shared import PlainConsole, helps
+from animarl_algos.cli.shared import PlainConsole, command_line, helps
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
 from animarl_envs.errors import InputError
@@ -106,7 +104,7 @@ def benchmark_command(
             shown.tell(piece, error)
     for name, cause in shown.causes():
         console.print(f"\n{name} failed: {cause}")
-    page = write_leaderboard(whole, out, shlex.join(["animarl", *sys.argv[1:]]))
+    page = write_leaderboard(whole, out, command_line())
     console.print(f"\nOpen {page}")
     if shown.failed:
         raise typer.Exit(1)

@@ -5,7 +5,6 @@ What they look with is imported when they run: their help waits for none of it.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from typer import Option
 
-from animarl_algos.cli.shared import PlainConsole, helps, load
+from animarl_algos.cli.shared import PlainConsole, command_line, helps, load
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED
 
@@ -252,13 +251,7 @@ def whatif_command(
         on_baseline=lambda table: _print_unchanged(console, table),
         on_answer=lambda answer: _print(console, answer),
     )
-    given = {"--repetitions": repetitions, "--permutations": permutations}
-    command = [
-        "animarl", "whatif", *map(str, runs), *(f"--change={text}" for text in change),
-        *(f"{name}={value}" for name, value in given.items()),
-        *["--separately"] * separately, *["--knows"] * knows,
-    ]  # fmt: skip
-    save_answers(found, out, command=shlex.join(command), versions=versions())
+    save_answers(found, out, command=command_line(), versions=versions())
     console.print(f"Tables, text, figures and the page report.html: {out}")
 
 

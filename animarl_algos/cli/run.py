@@ -6,8 +6,6 @@ What learns and draws is imported when a command runs: its help waits for none o
 from __future__ import annotations
 
 import inspect
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_origin
 
@@ -208,8 +206,9 @@ def _open(given: dict[str, Any]) -> Run:
     learner = RunSettings(**{"steps": 1} | told).learner()
     preset = pipeline_settings(environment_id(species), given["preset"])
     preset |= {"steps": learner.n_timesteps, "copies": learner.n_envs}
-    command = shlex.join(["animarl", *sys.argv[1:]])
-    return pipeline.open_run(RunSettings(**preset | told), given["out"], command, demos)
+    return pipeline.open_run(
+        RunSettings(**preset | told), given["out"], shared.command_line(), demos
+    )
 
 
 def _refuse_beside_resume(context: typer.Context) -> None:

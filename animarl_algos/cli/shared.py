@@ -7,6 +7,7 @@ import csv
 import inspect
 import re
 import shlex
+import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -107,6 +108,11 @@ def parse_settings(given: list[str] | None, flag: str = "--set", sign: str = "="
         except yaml.YAMLError as error:
             raise InputError(f"{flag} {pair}: the value is not valid YAML ({error})") from None
     return found
+
+
+def command_line() -> str:
+    """Return the command as it was given, for what it makes."""
+    return shlex.join(["animarl", *sys.argv[1:]])
 
 
 # -- files ----------------------------------------------------------------------------------------
