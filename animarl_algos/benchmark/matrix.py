@@ -185,8 +185,6 @@ def read_matrix(preset: str, config: Path | None = None) -> Matrix:
     place = matrix_file(preset, config)
     if config is None and preset not in matrix_names():
         raise InputError(f"preset {preset!r} is unknown: choose {', '.join(matrix_names())}")
-    if config is not None and not config.is_file():
-        raise InputError(f"{config}: there is no such file: write a matrix, or give --preset")
     content = read_yaml(config or Path(str(FOLDER / f"{preset}.yml")))
     if not isinstance(content, dict):
         raise InputError(f"{place}: it holds no table: give species, recipes and seeds")
