@@ -68,8 +68,8 @@ class RunSettings(PipelineSettings):
     device: str = "cpu"
     """cpu (default) or cuda."""
     cloning: str = CHOSEN
-    """Recipe of the clone: exact, exact-few, nearly-exact, recorded, recorded-few,
-    recorded-many, search, or chosen (by the demonstrations; zoo_configs/cloning.yml)."""
+    """Recipe of the clone: exact, exact-few, nearly-exact, recorded, recorded-few, recorded-many,
+    search, search-remembered, or chosen (by the demonstrations; zoo_configs/cloning.yml)."""
     repetitions: int = Field(5, ge=1)
     """Rollouts per test demonstration."""
     baselines: bool = True

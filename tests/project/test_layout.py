@@ -70,8 +70,8 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 216,
-    "animarl_algos.benchmark": 1_729,
-    "animarl_algos.cli": 2_541,
+    "animarl_algos.benchmark": 1_709,
+    "animarl_algos.cli": 2_520,
     "animarl_algos.data": 1_058,
     "animarl_algos.evaluation": 4_769,
     "animarl_algos.learner": 3_034,
@@ -80,12 +80,12 @@ BUDGETS = {
     "animarl_algos.recipes": 195,
     "animarl_algos.replay": 944,
     "animarl_algos.report": 2_035,
-    "animarl_algos.runs": 2_717,
+    "animarl_algos.runs": 2_661,
     "animarl_algos.whatif": 2_097,
     "animarl_algos.zoo": 475,
     "animarl_envs": 2_390,
-    "animarl_envs.demos": 1_266,
-    "animarl_envs.drawing": 975,
+    "animarl_envs.demos": 1_228,
+    "animarl_envs.drawing": 972,
     "animarl_envs.fitting": 2_408,
     "animarl_envs.importing": 5_135,
     "animarl_envs.species": 1_206,
@@ -94,7 +94,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 268,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 27_998
+TESTS = 27_981
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 
