@@ -62,8 +62,8 @@ def benchmark_command(
     """Train, roll out and score every method on every species with every seed.
 
     The same command continues a benchmark that was stopped; finished cells are not run again. Given
-    on several machines that share --out, they share the work. If
-    something failed, the exit code is 1, and the leaderboard is written without it.
+    on several machines that share --out, they share the work. If something failed, the exit code is
+    1, and the leaderboard is written without it.
 
     Examples:
 

@@ -7,5 +7,5 @@ rl_zoo3's own command lines and experiment manager do the work; what is changed:
   would evaluate some strings of a YAML file, import classes that one names, and evaluate
   ``KEY:VALUE`` on the command line; here the former are refused and the latter are YAML;
 - for AnimaRL ids the training environment is the slot VecEnv, in which all individuals learn, and
-  the evaluation environment starts from the validation split (:mod:`.environments`).
+  the evaluation environment starts from the validation split (:mod:`.manager`).
 """
