@@ -26,6 +26,7 @@ from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
 from animarl_algos.runs import run_set
 from animarl_algos.runs.run import Run, method_name
+from animarl_algos.runs.run_files import write_json
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
@@ -37,6 +38,7 @@ from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import Scenario
 from animarl_envs.worlds import observation_components
 
+ACTED = "acting.json"  # beside rollouts
 UNTRAINED, RANDOM, BLIND = "untrained", "random", "blind"
 INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
@@ -46,13 +48,21 @@ INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 def roll_out(run: Run) -> dict[str, Rollouts]:
     """Roll out every method from each test demonstration's start, told what is so."""
-    rollouts = _rolled_out(run)
+    rollouts, folder = _rolled_out(run), run.path / "rollouts"
     for name, some in rollouts.items():
-        some.save(run.path / "rollouts" / f"{name}.npz")
-    for file in (run.path / "rollouts").glob("*.npz"):
+        some.save(folder / f"{name}.npz")
+    for file in folder.glob("*.npz"):
         if file.stem not in rollouts:  # of a method that the run is no longer compared with
             file.unlink()
+    write_json(folder / ACTED, {"acting": str(run.acting(run.settings.algo))})
     return rollouts
+
+
+def acted_by(run: Run) -> str:
+    """Return the rule by which the run's learner acted in its rollouts, which may be of another one
+    than its own.
+    """
+    return str(json.loads((run.path / "rollouts" / ACTED).read_text())["acting"])
 
 
 def _rolled_out(
@@ -320,8 +330,9 @@ def evaluate_runs(
         settings[f"{name} learner"] = some[0].record["learner"]
         settings[f"{name} acting"] = {
             f"seed {run.settings.seed}": str(run.acting(run.settings.algo))
+            if found.new is not None
+            else acted_by(run)
             for run in some
-            if run.has_policy(run.settings.algo)
         }
     evaluation, made_by = found.evaluation, command("evaluate", folders)
     tables = {name: getattr(evaluation, name) for name in TABLES}

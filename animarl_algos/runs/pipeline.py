@@ -31,7 +31,7 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
 from animarl_algos.runs import run_set
-from animarl_algos.runs.evaluating import EvaluatedRuns, report_inputs, roll_out
+from animarl_algos.runs.evaluating import EvaluatedRuns, acted_by, report_inputs, roll_out
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -197,7 +197,8 @@ def report(run: Run) -> Path:
         rollouts = run_set.joined_rollouts(folds) if folds else run.rollouts()
         found = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
         evaluation = Evaluation.load(run.path / "evaluation")
-        settings = {"run": record["settings"], "learner": record["learner"]}
+        acting = {"acting": acted_by(run)}
+        settings = {"run": record["settings"] | acting, "learner": record["learner"]}
         settings |= {"reason": record.get("reasons", {})}
         made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
         inputs = report_inputs(found, evaluation, settings, record["command"], made)

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import Done, refused, succeeded
+from html_page import Page
 from small_runs import few, made
 
 from animarl_algos.evaluation import Rollouts
@@ -95,8 +96,13 @@ def test_one_run_is_rolled_out_again_in_its_own_folder(
     succeeded(animarl("evaluate", copy, "--acting", "greedy"))
     assert (copy / "rollouts" / "DQDIL-PT.npz").exists() and (copy / "evaluation").is_dir()
     succeeded(animarl("report", copy))
-    assert (copy / "report.html").exists()
+    told = Page((copy / "report.html").read_text()).texts
+    assert told[told.index("run.acting") + 1] == "greedy"
     assert contents(copy / "policies") == contents(runs[2] / "policies")  # nothing was trained
+    for run, rule in ((runs[2], "boltzmann:0.5"), (copy, "greedy")):
+        succeeded(animarl("evaluate", run, "--out", "page"))
+        told = Page((tmp_path / "page" / "report.html").read_text()).texts
+        assert told[told.index("DQDIL-PT acting.seed 0") + 1] == rule
 
 
 def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
