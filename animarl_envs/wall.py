@@ -19,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,7 @@ SETTINGS = {
 }  # fmt: skip
 """For the process, whose memory is limited."""
 START = "import sys; sys.path[:] = {path}; from animarl_envs.wall import serve; serve({answer})"
+RECORD = "record"  # among the arrays of an answer: what came of the call, as JSON
 ARRAY = "number of the array"  # the one key of a dictionary that stands for an array
 Groups = dict[str, str | None]  # by name and by number as text
 
@@ -78,7 +79,7 @@ def call(
         worker = _running_worker()
         try:
             status = worker.ask(request, progress)
-            record, arrays = worker.answer_read() if status == 0 else ({}, [])
+            record = worker.read_answer() if status == 0 else {}
         except BaseException:
             worker.stop()
             raise
@@ -87,7 +88,7 @@ def call(
     if "refused" in record:
         raise InputError(record["refused"])
     if "value" in record:
-        return _unpacked(record["value"], arrays)
+        return record["value"]
     if status == 0:
         problem = (
             "it needs more memory than a file of its size may ask for: its header is damaged, or "
@@ -126,7 +127,7 @@ def _search(pattern: str, names: list[str]) -> list[Groups | None]:
 
 class _Worker:
     def __init__(self) -> None:
-        self.owner = os.getpid()
+        self.owner, self.spent = os.getpid(), False
         self.answer = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
         number = self.answer.fileno()
         self.process = subprocess.Popen(
@@ -145,21 +146,27 @@ class _Worker:
         while line := self.process.stdout.readline():
             kind, _, value = line.decode(errors="replace").strip().partition(" ")
             if kind == "end":
+                self.spent = bool(value)
                 return 0
             with contextlib.suppress(ValueError):
                 if kind == "progress" and progress is not None:
                     progress(float(value))
         return self.process.wait() or -signal.SIGABRT
 
-    def answer_read(self) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-        """What the last call wrote."""
+    def read_answer(self) -> dict[str, Any]:
+        """Return what came of the last call, with its arrays in their places."""
         self.answer.seek(0)
-        record = json.loads(str(np.load(self.answer, allow_pickle=False)))
-        arrays = [np.load(self.answer, allow_pickle=False) for _ in range(record["arrays"])]
+        with np.load(self.answer, allow_pickle=False) as stored:
+            arrays = dict(stored)
         self.answer.truncate(0)
-        if record["spent"]:
+        if self.spent:
             self.stop()
-        return record, arrays
+
+        def with_array(found: dict[str, Any]) -> Any:
+            stands_for_one = found.keys() == {ARRAY} and str(found[ARRAY]) in arrays
+            return arrays[str(found[ARRAY])] if stands_for_one else found
+
+        return dict(json.loads(str(arrays.pop(RECORD)), object_hook=with_array))
 
     def stop(self) -> None:
         """End it, if it has not ended."""
@@ -205,40 +212,44 @@ def serve(answer: int) -> None:
     while size := sys.stdin.buffer.read(8):
         # From the parent that started this process, never from a file: answers are JSON and arrays.
         request = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "little")))
-        record, arrays = _answer(request, told)
+        arrays = _answer(request, told)
+        spent = _memory_used(1) > SPENT
         with os.fdopen(answer, "r+b", closefd=False) as file:
             file.seek(0)
-            for array in (np.array(json.dumps(record | {"arrays": len(arrays)})), *arrays):
-                np.save(file, array, allow_pickle=False)
+            np.savez(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
         del request, arrays
-        os.write(told, b"end\n")
+        os.write(told, b"end spent\n" if spent else b"end\n")
 
 
-def _answer(request: Any, told: int) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Call a function within its limits; what it returns, as plain values and arrays."""
+def _answer(request: Any, told: int) -> dict[str, NDArray[Any]]:
+    """Call a function within its limits; return a record of what came of it, and its arrays."""
     folder, memory, seconds, function, arguments, progressing = request
+    arrays: dict[str, NDArray[Any]] = {}
 
     def progress(share: float) -> None:
         os.write(told, f"progress {share:.4f}\n".encode())
 
-    arrays: list[NDArray[Any]] = []
-    record: dict[str, Any] = {}
+    def put_aside(value: Any) -> Any:
+        """Arrays stand beside the record, which has their number; all else is plain."""
+        if isinstance(value, np.ndarray):
+            arrays[str(len(arrays))] = value.astype(str) if value.dtype.hasobject else value
+            return {ARRAY: len(arrays) - 1}
+        return value.item() if isinstance(value, np.generic) else dict(value)
+
     try:
         os.chdir(folder)
         _limit(memory, seconds)
         value = function(*arguments, **({"progress": progress} if progressing else {}))
-        record = {"value": _packed(value, arrays)}
-        json.dumps(record)
+        record = json.dumps({"value": value}, default=put_aside)
     except MissingExtraError as error:
-        record = {"missing": str(error)}
+        record = json.dumps({"missing": str(error)})
     except InputError as error:
-        record = {"refused": str(error)}
+        record = json.dumps({"refused": str(error)})
     except MemoryError:
-        record = {}
+        record = "{}"
     except Exception as error:
-        record = {"refused": f"{type(error).__name__}: {error}"}
-    spent = _memory_used(1) > SPENT
-    return record | {"spent": spent}, arrays if "value" in record else []
+        record = json.dumps({"refused": f"{type(error).__name__}: {error}"})
+    return arrays | {RECORD: np.array(record)}
 
 
 def _limit(memory: int, seconds: int) -> None:
@@ -256,27 +267,3 @@ def _memory_used(which: int) -> int:
     """Size (0) or what of it is in memory (1) [bytes]; 0 where the system does not say."""
     told = Path("/proc/self/statm")
     return int(told.read_text().split()[which]) * resource.getpagesize() if told.exists() else 0
-
-
-def _packed(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    """Plain values for JSON; arrays are put aside, their number stands for them."""
-    if isinstance(value, np.ndarray):
-        arrays.append(value.astype(str) if value.dtype.hasobject else value)
-        return {ARRAY: len(arrays) - 1}
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, Mapping):
-        return {str(key): _packed(entry, arrays) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_packed(entry, arrays) for entry in value]
-    return value
-
-
-def _unpacked(value: Any, arrays: list[NDArray[Any]]) -> Any:
-    if isinstance(value, dict):
-        if value.keys() == {ARRAY}:
-            return arrays[value[ARRAY]]
-        return {key: _unpacked(entry, arrays) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_unpacked(entry, arrays) for entry in value]
-    return value

@@ -83,7 +83,7 @@ BUDGETS = {
     "animarl_algos.runs": 2_673,
     "animarl_algos.whatif": 2_097,
     "animarl_algos.zoo": 475,
-    "animarl_envs": 2_390,
+    "animarl_envs": 2_377,
     "animarl_envs.demos": 1_228,
     "animarl_envs.drawing": 972,
     "animarl_envs.fitting": 2_408,
