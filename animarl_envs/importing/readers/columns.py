@@ -4,8 +4,9 @@ import math
 import re
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from animarl_envs.importing.table_layout import UNIT_NAMES, bare_unit
 from animarl_envs.importing.tables import Table, Words, open_table
 
 Floats = NDArray[np.float64]
-Whole = NDArray[np.integer]
+Whole = NDArray[np.int64]
 Place = Callable[[int], str]  # what messages call a row, counted from 0
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame
@@ -100,6 +101,14 @@ class Columns:
         clocked = self.frame is not None or self.time is not None
         several = self.individual is not None or self.recording is not None
         return clocked and several and self.x is not None and not self.unclear
+
+    def with_clock(self, frame: str | None, time: str | None, time_unit: str | None) -> Self:
+        """The same, where the columns of frames or times are named; times are in s by default."""
+        if time is not None:
+            return replace(self, frame=None, time=time, time_unit=time_unit or "s")
+        if frame is not None:
+            return replace(self, frame=frame, time=None)
+        return replace(self, time_unit=time_unit or self.time_unit)
 
 
 def parsed_names(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
@@ -259,7 +268,7 @@ def refuse_uneven_frames(
 
 def frames_at(
     path: Path, time: Floats, rate: float | None, group: Whole, place: Place
-) -> tuple[float, NDArray[np.int64], Floats]:
+) -> tuple[float, Whole, Floats]:
     """Frame rate [Hz] and frame number ``(rows,)`` of times [s], and the first time of each group.
 
     The earliest time of each ``group`` is frame 0. Without ``rate`` the steps between different
@@ -272,9 +281,9 @@ def frames_at(
     np.minimum.at(first, group, time)
     since = time - first[group]
     if rate is None:
-        order = np.lexsort((since, group))
-        step = np.diff(since[order])
-        step = step[(np.diff(group[order]) == 0) & (step > 0)]
+        before, after = _neighbours(group, since)
+        step = since[after] - since[before]
+        step = step[step > 0]
         if len(step) == 0:
             raise InputError(f"{path}: all rows have the same time: give --option fps=...")
         usual = float(np.median(step))
@@ -298,8 +307,8 @@ def frames_at(
 
 def irregular_rate(time: Floats, track: Whole) -> float | None:
     """The usual rate [Hz] of a clock that ticks unevenly; None where it ticks evenly."""
-    order = np.lexsort((time, track))
-    step = np.diff(time[order])[np.diff(track[order]) == 0]
+    before, after = _neighbours(track, time)
+    step = time[after] - time[before]
     if len(step) == 0 or not (step > 0).all():
         return None
     usual = float(np.median(step))
@@ -307,23 +316,26 @@ def irregular_rate(time: Floats, track: Whole) -> float | None:
     return float(f"{1.0 / usual:.3g}") if off >= max(MANY, IRREGULAR * len(step)) else None
 
 
-def even_rows(
-    time: Floats, track: Whole, rate: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
+def even_rows(time: Floats, track: Whole, rate: float) -> tuple[Whole, Whole, Floats, Floats]:
     """Rows around each tick of an even clock, the share of the way between them, and its time [s].
 
     Ticks are whole multiples of ``1 / rate``; those in a gap are left out.
     """
-    order = np.lexsort((time, track))
-    when = time[order]
-    near = (np.diff(track[order]) == 0) & (np.diff(when) <= LONGEST_STEP / rate)
-    tick = np.ceil(when * rate - 1e-9).astype(np.int64)  # the first one that is not before
-    count = np.where(near, np.diff(tick), 0)
-    low = np.repeat(np.arange(len(count)), count)
+    before, after = _neighbours(track, time)
+    tick = np.ceil(time * rate - 1e-9).astype(np.int64)  # the first one that is not before
+    near = time[after] - time[before] <= LONGEST_STEP / rate
+    count = np.where(near, tick[after] - tick[before], 0)
+    low, high = np.repeat(before, count), np.repeat(after, count)
     number = np.arange(len(low)) - np.repeat(np.cumsum(count) - count, count)
     ticks = (tick[low] + number) / rate
-    share = (ticks - when[low]) / (when[low + 1] - when[low])
-    return order[low], order[low + 1], share, ticks
+    return low, high, (ticks - time[low]) / (time[high] - time[low]), ticks
+
+
+def _neighbours(group: Whole, *keys: Floats | Whole) -> tuple[Whole, Whole]:
+    """Rows and those right after them in the same group, sorted by keys, else as they stand."""
+    order: Whole = np.lexsort((*keys, group))
+    same = np.diff(group[order]) == 0
+    return order[:-1][same], order[1:][same]
 
 
 def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place) -> None:
@@ -332,22 +344,21 @@ def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place
     Clock times do so at midnight, and when daylight saving time ends. Sorted, they would be frames
     that lie hours apart.
     """
-    order = np.argsort(track, kind="stable")
-    back = (np.diff(time[order]) < 0) & (np.diff(track[order]) == 0)
-    if back.any():
-        row = int(order[1:][back].min())
+    before, after = _neighbours(track)
+    back = after[time[after] < time[before]]
+    if len(back):
         raise InputError(
-            f"{path}: the time of {place(row)} is earlier than the one before of the same "
-            "individual (past midnight, or daylight saving?): write times that rise, or sort the "
-            "rows by time"
+            f"{path}: the time of {place(int(back.min()))} is earlier than the one before of the "
+            "same individual (past midnight, or daylight saving?): write times that rise, or sort "
+            "the rows by time"
         )
 
 
 def rate_of_frames(path: Path, frames: Whole, time: Floats, group: Whole) -> float:
     """Frame rate [Hz] of rows that have a frame number and a time [s] each."""
-    order = np.lexsort((frames, group))
-    steps, passed = np.diff(frames[order].astype(np.int64)), np.diff(time[order])
-    use = (np.diff(group[order]) == 0) & (steps > 0) & (passed > 0)
+    before, after = _neighbours(group, frames)
+    steps, passed = frames[after] - frames[before], time[after] - time[before]
+    use = (steps > 0) & (passed > 0)
     if not use.any():
         raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
     return round(1.0 / float(np.median(passed[use] / steps[use])), 6)

@@ -4,7 +4,9 @@ Columns are found by their names or named by options. A table may hold several r
 apart by a column. The frame rate comes from ``fps``, or from a column of times.
 """
 
+import itertools
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,16 +103,18 @@ def read_long_table(
         raise InputError(f"{path}: {words}")
     if found.x is not None and not (individual or found.individual or x or y):
         refuse_unused_pair(table, found)
-    recording, confidence = recording or found.recording, confidence or found.confidence
-    individual = individual or found.individual or (None if recording else "id")
-    extra = {CONFIDENCE: confidence} if confidence else {}
-    extra |= {HEADING: heading} if heading else {}
+    recording = recording or found.recording
+    found = replace(
+        found.with_clock(frame, time, time_unit),
+        individual=individual or found.individual or (None if recording else "id"),
+        recording=recording,
+        confidence=confidence or found.confidence,
+        unit=unit or found.unit,
+    )
+    if found.frame is None and found.time is None:
+        found = replace(found, frame="frame")  # whose absence is then said
     pairs = {LONE: [x or found.x or "x", y or found.y or "y"]}
-    clocked = frame or time or found.frame or found.time
-    tracks = _recordings(
-        table, found, pairs, individual, recording, extra, frame if clocked else "frame", time,
-        fps, time_unit, progress, unit=unit or found.unit or "px", y_down=y_down,
-    )  # fmt: skip
+    tracks = _recordings(table, found, pairs, fps, y_down, progress, heading)
     for one in tracks if heading else ():
         one.signals[HEADING][:] *= to_radians
     return tracks
@@ -158,62 +162,52 @@ def read_wide_table(
         "columns: {male: [mx, my], female: [fx, fy]}",
     )
     units = {one.column: one.unit for one in parsed_names(table.names, table.units)}
-    unit = unit or units.get(next(iter(pairs.values()))[0]) or "px"
-    return _recordings(
-        table, found, pairs, None, recording or found.recording, {}, frame, time, fps, time_unit,
-        progress, unit=unit, y_down=y_down,
-    )  # fmt: skip
+    found = replace(
+        found.with_clock(frame, time, time_unit),
+        individual=None,
+        recording=recording or found.recording,
+        confidence=None,
+        unit=unit or units.get(next(iter(pairs.values()))[0], ""),
+    )
+    return _recordings(table, found, pairs, fps, y_down, progress)
 
 
 def _recordings(
     table: tables.Table,
     found: Columns,
     pairs: Pairs,
-    individual: str | None,
-    recording: str | None,
-    extra: dict[str, str],
-    frame: str | None,
-    time: str | None,
     fps: float | None,
-    time_unit: str | None,
+    y_down: bool,
     progress: tables.Progress,
-    **more: Any,
+    heading: str | None = None,
 ) -> list[Tracks]:
-    """Tracks of each recording: of individuals by a column, or else of the pairs of columns.
-
-    ``extra`` are columns of confidence and heading, which a row has once.
-    """
+    """Tracks of each recording: of individuals by a column, or else of the pairs of columns."""
     path, read_as = table.path, table.description
-    clock = time or (found.time if frame is None else None)
-    frame = None if time is not None else frame or found.frame
-    clock = clock if frame is None or fps is None else None
-    stated = time_unit or (found.time_unit if time is None else "") or None
-    numbers = [name for pair in pairs.values() for name in pair] + [*extra.values()]
-    numbers += [frame] if frame else []
-    texts = [name for name in (individual, recording) if name]
-    if clock is not None:
-        (texts if clock in table.words_in else numbers).append(clock)
-    number, word = table.columns(numbers, texts, progress)
-    rows = len(number[numbers[0]])
-    zeros = np.zeros(rows, dtype=np.int64)
-    sets = word.get(recording or "") or tables.Words(
-        [path.name.removesuffix(tables.PACKED).rpartition(".")[0]], zeros
-    )
-    who = word.get(individual or "") or tables.Words([], zeros)
-    start, origin = np.zeros(len(sets.entries)), np.arange(rows)  # the table's row of each
-    if frame is not None:
-        frames = _frame_numbers(table, frame, number[frame])
+    known = {CONFIDENCE: found.confidence, HEADING: heading}
+    extra = {key: column for key, column in known.items() if column}
+    clock = found.time if found.frame is None or fps is None else None
+    numbers = [*itertools.chain(*pairs.values()), *extra.values(), found.frame]
+    texts = [found.individual, found.recording]
+    (texts if clock in table.words_in else numbers).append(clock)
+    number, word = table.columns([*filter(None, numbers)], [*filter(None, texts)], progress)
+    zeros = np.zeros(len(next(iter(number.values()))), dtype=np.int64)
+    whole = tables.Words([path.name.removesuffix(tables.PACKED).rpartition(".")[0]], zeros)
+    sets = word.get(found.recording or "", whole)
+    recording, row = sets.number, np.arange(len(zeros))  # of each, where it is in the table
+    names, who = _in_natural_order(word[found.individual]) if found.individual else ([], zeros)
+    start = np.zeros(len(sets.entries))
+    if found.frame is not None:
+        frames = _frame_numbers(table, found.frame, number[found.frame])
     elif clock is None:
         frames = zeros.copy()
         for at in range(len(sets.entries)):
-            frames[sets.number == at] = np.arange(np.count_nonzero(sets.number == at))
+            frames[recording == at] = np.arange(np.count_nonzero(recording == at))
     if clock is not None:
-        times = word[clock] if clock in word else number[clock]
-        when = seconds(path, clock, times, stated)
-        if frame is not None:
-            fps = rate_of_frames(path, frames, when, sets.number)
+        when = seconds(path, clock, word.get(clock) or number[clock], found.time_unit or None)
+        if found.frame is not None:
+            fps = rate_of_frames(path, frames, when, recording)
         else:
-            track = sets.number * max(len(who.entries), 1) + who.number
+            track = recording * max(len(names), 1) + who
             refuse_times_going_back(path, when, track, table.place)
             if fps is None and (fps := irregular_rate(when, track)) is not None:
                 require(
@@ -221,36 +215,31 @@ def _recordings(
                     f"{path}: its clock is irregular, and headings are not resampled: give rows at "
                     "even times",
                 )
-                low, high, share, when = even_rows(when, track, fps)
-                origin = low
-                number = {k: v[low] + share * (v[high] - v[low]) for k, v in number.items()}
-                sets, who = (tables.Words(one.entries, one.number[low]) for one in (sets, who))
+                row, after, share, when = even_rows(when, track, fps)
+                number = {k: v[row] + share * (v[after] - v[row]) for k, v in number.items()}
+                recording, who = recording[row], who[row]
                 read_as += f", irregular clock resampled to {fps:g} Hz"
-            fps, frames, start = frames_at(path, when, fps, sets.number, table.place)
-        if time is None and stated is None and clock not in word:
+            fps, frames, start = frames_at(path, when, fps, recording, table.place)
+        if not found.time_unit and clock not in word:
             check_rate(path, clock, fps)
     tracks = []
     for at, name in enumerate(sets.entries):
-        own: Any = np.flatnonzero(sets.number == at) if len(sets.entries) > 1 else slice(None)
-        individuals, columns = list(pairs), list[Any](range(len(pairs)))
-        if individual:
-            ids = sorted(np.unique(who.number[own]), key=lambda i: _natural(who.entries[i]))
-            individuals = [who.entries[i] for i in ids]
-            column_of = np.zeros(len(who.entries), dtype=np.int64)
-            column_of[ids] = np.arange(len(ids))
-            columns = [column_of[who.number[own]]]
+        own: Any = np.flatnonzero(recording == at) if len(sets.entries) > 1 else slice(None)
+        individuals, column = list(pairs), zeros[:1]
+        if found.individual:
+            ids = np.unique(who[own])
+            individuals, column = [names[i] for i in ids], np.searchsorted(ids, who[own])
         shape = (int(frames[own].max()) + 1, len(individuals))
-        _check_extent(table, name, shape, frames[own], origin[own])
+        _check_extent(table, name, shape, frames[own], row[own])
+        cell = frames[own] * len(individuals) + column
+        _refuse_twice(table, name, cell, individuals)
         positions = np.full((*shape, 1, 2), np.nan)
         more_of = {key: np.full(shape, np.nan) for key in extra}
-        for column, (a, b) in zip(columns, pairs.values(), strict=True):
-            cell = frames[own] * shape[1] + column
-            if column is columns[0]:
-                _refuse_twice(table, name, cell, individuals)
-            positions.reshape(-1, 2)[cell, 0] = number[a][own]
-            positions.reshape(-1, 2)[cell, 1] = number[b][own]
-            for key, values in more_of.items():
-                values.reshape(-1)[cell] = number[extra[key]][own]
+        for further, pair in enumerate(pairs.values()):
+            for axis, column_of_axis in enumerate(pair):
+                positions.reshape(-1, 2)[cell + further, axis] = number[column_of_axis][own]
+        for key, values in more_of.items():
+            values.reshape(-1)[cell] = number[extra[key]][own]
         confidence = more_of.pop(CONFIDENCE, None)
         tracks.append(
             Tracks(
@@ -258,14 +247,26 @@ def _recordings(
                 individuals=tuple(individuals),
                 positions=positions,
                 frame_rate=fps,
+                unit=found.unit or "px",
+                y_down=y_down,
                 confidence=None if confidence is None else confidence[:, :, None],
                 signals=more_of,
                 start=float(start[at]),
                 provenance={"file": path.name, "read_as": read_as},
-                **more,
             )
         )
     return tracks
+
+
+def _in_natural_order(words: tables.Words) -> tuple[list[str], Whole]:
+    """Return the entries, 2 before 10, and for each row the number of its own."""
+
+    def pieces(entry: str) -> list[tuple[int, int, str]]:
+        parts = re.findall(r"\d+|\D+", entry)
+        return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+
+    order = sorted(range(len(words.entries)), key=lambda i: pieces(words.entries[i]))
+    return [words.entries[i] for i in order], np.argsort(order)[words.number]
 
 
 def wide_columns(table: tables.Table, found: Columns) -> Pairs:
@@ -329,9 +330,3 @@ def _refuse_twice(table: tables.Table, recording: str, cell: Whole, individuals:
             f"{table.path}: {recording}, frame {frame}, {individuals[who]} has two rows: drop the "
             "duplicate, or name the recording column"
         )
-
-
-def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key under which 2 comes before 10."""
-    pieces = re.findall(r"\d+|\D+", name)
-    return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in pieces)
