@@ -12,7 +12,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING, INTERVAL
 from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
-from animarl_envs.importing.cleaning import Floats, clean, resample, runs, scales_of
+from animarl_envs.importing.cleaning import clean, resample, runs, scales_of
 from animarl_envs.importing.cutting import (
     FEWEST_PIECES,
     Cut,
@@ -26,6 +26,7 @@ from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.sessions import (
     AUTO,
     TARGET,
+    Sessions,
     apply_names,
     assign_focus,
     assign_roles,
@@ -58,14 +59,7 @@ def demonstrations_from_tracks(
     free = recipe.target is None or (recipe.target == AUTO and several)
     if free and recipe.pursuer is None and recipe.individuals is None and not recipe.searcher:
         named = [alone for tracks in named for alone in each_alone(tracks)]
-    most = max(len(tracks.individuals) for tracks in named)
-    cleaned, done = [], {}
-    for tracks in named:
-        tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
-        per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
-        if per_cm is not None:
-            tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
-        cleaned.append(tracks)
+    cleaned, done = _cleaned(named, recipe, sessions)
     cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
     tracked = sum(int(np.isfinite(one.bodies).all(axis=2).sum()) for one in cleaned)
@@ -73,47 +67,39 @@ def demonstrations_from_tracks(
         pieces = in_groups(cleaned, recipe.cutting.piece, FEWEST_PIECES)
         scales = [scale for scale, some in zip(scales, pieces, strict=True) for _ in some]
         cleaned = [one for some in pieces for one in some]
-    individuals, roles, order = assign_roles(cleaned, focus, recipe, name)
+    individuals, roles = assign_roles(cleaned, focus, recipe, name)
     others = "all others, as one is pursued" if focus else f"{len(individuals) - 1} others at most"
     require(
         recipe.neighbours is None or (focus is None and recipe.neighbours < len(individuals)),
         f"{name}: neighbours is {recipe.neighbours} but each sees {others}: leave it out, or give "
         "fewer",
     )
-    bodies = [s.to_arena(one.bodies)[:, order] for s, one in zip(scales, cleaned, strict=True)]
-    cleaned = [s.turn_headings(one) for s, one in zip(scales, cleaned, strict=True)]
+    scaled = [
+        scale.apply(one.choose(individuals)) for scale, one in zip(scales, cleaned, strict=True)
+    ]
     cutting = recipe.cutting
-    if all(tracks.outcome is None for tracks in cleaned):
-        cutting = replace(cutting, contact=_contact(bodies, roles, cleaned, recipe))
+    if all(tracks.outcome is None for tracks in scaled):
+        cutting = replace(cutting, contact=_contact(scaled, roles, recipe))
     if cutting.mode == "events" and cutting.events is not None:
-        check_events(Path(cutting.events), [tracks.recording for tracks in cleaned])
-    episodes, kept = [], 0
-    all_cuts = _cuts(cleaned, bodies, roles, replace(recipe, cutting=cutting))
-    for tracks, body, cuts in zip(cleaned, bodies, all_cuts, strict=True):
-        if len(cuts) == 1 and tracks.outcome is not None and cutting.mode == "whole":
-            cuts = [replace(cuts[0], outcome=tracks.outcome)]
-        made = [_episode(tracks, body, cut, order, recipe) for cut in cuts]
+        check_events(Path(cutting.events), [tracks.recording for tracks in scaled])
+    episodes = []
+    all_cuts = _cuts(scaled, roles, replace(recipe, cutting=cutting))
+    for tracks, cuts in zip(scaled, all_cuts, strict=True):
+        made = [_episode(tracks, cut, recipe) for cut in cuts]
         long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
-        told, short = done[tracks.recording], len(made) - len(long_enough)
-        kept += sum(
-            len(individuals) * (cut.stop - cut.start)
-            for cut, one in zip(cuts, made, strict=True)
-            if len(one["positions"]) >= FEWEST_SAMPLES
-        )
-        told["episodes"] = told.get("episodes", 0) + len(long_enough)
-        told["too_short"] = told.get("too_short", 0) + short
+        done[tracks.recording]["episodes"] += len(long_enough)
+        done[tracks.recording]["too_short"] += len(made) - len(long_enough)
         episodes += long_enough
     if not episodes:
-        raise InputError(f"{name}: {_why_none(cleaned)}")
+        raise InputError(f"{name}: {_why_none(scaled)}")
 
     def joined(key: str, kind: Any = None) -> NDArray[Any]:
         return np.array([one[key] for one in episodes], dtype=kind)
 
-    rate = recipe.decision_rate or cleaned[0].frame_rate
+    rate = recipe.decision_rate or scaled[0].frame_rate
     assert rate is not None
-    first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
-    stated = {} if recipe.licence == NOT_STATED else {"licence": recipe.licence}
-    contact = cutting.contact
+    most = max(len(tracks.individuals) for tracks in named)
+    used = len(individuals) * int(joined("frames").sum())
     return Demonstrations(
         species=recipe.species,
         individuals=individuals,
@@ -131,13 +117,8 @@ def demonstrations_from_tracks(
             key: np.concatenate([one["signals"][key] for one in episodes])
             for key in episodes[0]["signals"]
         },
-        provenance={
-            "source": recipe.source or "found by the file",
-            "licence": recipe.licence,
-            "synthetic": recipe.synthetic,
-            **first,
-            **stated,
-            "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
+        provenance=_origin(recordings, recipe, name)
+        | {
             "unit": cleaned[0].unit,
             "keypoints": list(recordings[0].keypoints),
             "recipe": recipe.to_dict(),
@@ -145,22 +126,51 @@ def demonstrations_from_tracks(
                 one.recording: asdict(scale) for one, scale in zip(cleaned, scales, strict=True)
             },
             "cleaning": done,
-            "ends": _ends(cutting, cleaned, joined("outcome")),
+            "ends": _ends(cutting, scaled, joined("outcome")),
             **({} if most == len(individuals) else {"animals_tracked": most}),
-            **({} if kept >= NEARLY_ALL * tracked else {"share_used": kept / tracked}),
-            **({} if contact == recipe.cutting.contact else {"contact_radius": contact}),
+            **({} if used >= NEARLY_ALL * tracked else {"share_used": used / tracked}),
+            **({} if cutting == recipe.cutting else {"contact_radius": cutting.contact}),
             **sessions.told(),
         },
         name=name,
     )
 
 
-def _why_none(cleaned: Sequence[Tracks]) -> str:
+def _cleaned(
+    named: Sequence[Tracks], recipe: ImportRecipe, sessions: Sessions
+) -> tuple[list[Tracks], dict[str, dict[str, Any]]]:
+    """Return clean recordings, in cm where their scale is known, and what was done to each."""
+    cleaned, done = [], {}
+    for tracks in named:
+        tracks, told = clean(tracks, recipe.cleaning)
+        done[tracks.recording] = told | {"episodes": 0, "too_short": 0}
+        per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
+        if per_cm is not None:
+            tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
+        cleaned.append(tracks)
+    return cleaned, done
+
+
+def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> dict[str, Any]:
+    """Where the recordings come from: as the recipe states, else as their files do."""
+    first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
+    stated = {} if recipe.licence == NOT_STATED else {"licence": recipe.licence}
+    return {
+        "source": recipe.source or "found by the file",
+        "licence": recipe.licence,
+        "synthetic": recipe.synthetic,
+        **first,
+        **stated,
+        "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
+    }
+
+
+def _why_none(recordings: Sequence[Tracks]) -> str:
     """Why there is no episode, and what to do."""
-    seen = [np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in cleaned]
+    seen = [np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in recordings]
     if any(stop - start > 1 for own in seen for start, stop in runs(own.all(axis=1))):
         return "the cut leaves no episode: loosen the distances or the length limits"
-    for tracks, own in zip(cleaned, seen, strict=True):
+    for tracks, own in zip(recordings, seen, strict=True):
         for who, name in enumerate(tracks.individuals):
             if not own[:, who].any():
                 return (
@@ -174,10 +184,7 @@ def _why_none(cleaned: Sequence[Tracks]) -> str:
 
 
 def _contact(
-    bodies: Sequence[Floats],
-    roles: tuple[str, ...],
-    cleaned: Sequence[Tracks],
-    recipe: ImportRecipe,
+    scaled: Sequence[Tracks], roles: tuple[str, ...], recipe: ImportRecipe
 ) -> float | None:
     """As stated, or where recordings are taken whole the distance that ends them.
 
@@ -188,10 +195,10 @@ def _contact(
     if cutting.mode != "whole" or stated or TARGET not in roles:
         return cutting.contact
     stretches = []
-    for body, tracks in zip(bodies, cleaned, strict=True):
+    for tracks in scaled:
         rate = tracks.frame_rate or 1.0
         shortest = FEWEST_SAMPLES * rate / (recipe.decision_rate or rate)  # steps
-        distance = distances_to_target(body, roles).min(axis=1)
+        distance = distances_to_target(tracks.bodies, roles).min(axis=1)
         stretches += [
             distance[start:stop]
             for start, stop in runs(np.isfinite(distance))
@@ -200,9 +207,9 @@ def _contact(
     return find_contact_distance(stretches)
 
 
-def _ends(cutting: Cutting, cleaned: Sequence[Tracks], outcome: NDArray[Any]) -> str:
+def _ends(cutting: Cutting, recordings: Sequence[Tracks], outcome: NDArray[Any]) -> str:
     """Return what the ends of recordings mean: as stated, by the files, or as was found."""
-    if any(tracks.outcome is not None for tracks in cleaned):
+    if any(tracks.outcome is not None for tracks in recordings):
         return "as the files say"
     if cutting.ends != "auto":
         return cutting.ends
@@ -210,19 +217,19 @@ def _ends(cutting: Cutting, cleaned: Sequence[Tracks], outcome: NDArray[Any]) ->
 
 
 def _cuts(
-    cleaned: Sequence[Tracks],
-    bodies: Sequence[Floats],
-    roles: tuple[str, ...],
-    recipe: ImportRecipe,
+    scaled: Sequence[Tracks], roles: tuple[str, ...], recipe: ImportRecipe
 ) -> list[list[Cut]]:
-    """The episodes of each recording; a lone long recording is cut in pieces, see ``Cutting``."""
-    rates = [tracks.frame_rate or 1.0 for tracks in cleaned]
+    """The episodes of each recording; a lone long recording is cut in pieces, see ``Cutting``.
+
+    The outcome that a file states is that of its recording if this is one episode.
+    """
+    cutting, piece = recipe.cutting, recipe.cutting.piece
+    rates = [tracks.frame_rate or 1.0 for tracks in scaled]
     found = [
-        cut_episodes(body, roles, rate, recipe.cutting, tracks.recording)
-        for tracks, body, rate in zip(cleaned, bodies, rates, strict=True)
+        cut_episodes(tracks.bodies, roles, rate, cutting, tracks.recording)
+        for tracks, rate in zip(scaled, rates, strict=True)
     ]
-    piece = recipe.cutting.piece
-    if recipe.cutting.mode != "whole":
+    if cutting.mode != "whole":
         return found
     if piece is None and 0 < sum(map(len, found)) < FEWEST_EPISODES:
         seconds = sum(
@@ -233,17 +240,20 @@ def _cuts(
         decisions = seconds * (recipe.decision_rate or rates[0])
         if decisions >= FEWEST_PIECES * SHORTEST_PIECE:
             piece = seconds / FEWEST_PIECES
-    if piece is None:
-        return found
+    if piece is not None:
+        found = [
+            in_pieces(cuts, rate, piece, rate / (recipe.decision_rate or rate))
+            for cuts, rate in zip(found, rates, strict=True)
+        ]
     return [
-        in_pieces(cuts, rate, piece, rate / (recipe.decision_rate or rate))
-        for cuts, rate in zip(found, rates, strict=True)
+        [replace(cuts[0], outcome=tracks.outcome)]
+        if len(cuts) == 1 and tracks.outcome is not None
+        else cuts
+        for tracks, cuts in zip(scaled, found, strict=True)
     ]
 
 
-def _episode(
-    tracks: Tracks, body: Floats, cut: Cut, order: list[int], recipe: ImportRecipe
-) -> dict[str, Any]:
+def _episode(tracks: Tracks, cut: Cut, recipe: ImportRecipe) -> dict[str, Any]:
     """One episode at the decision rate; its first sample only serves to make the first velocity.
 
     Events are united over the frames of the step that led to each sample.
@@ -252,6 +262,7 @@ def _episode(
     rate = recipe.decision_rate or frame_rate
     every = frame_rate / rate
     frames = slice(cut.start, cut.stop)
+    body = tracks.bodies[frames]
     require(
         every >= 1 - 1e-9,
         f"{tracks.recording}: it has {frame_rate:g} frames a second: choose a decision rate no "
@@ -264,28 +275,27 @@ def _episode(
         f"{frame_rate:g} Hz: choose another rate",
     )
     if even:
-        index = np.arange(0, cut.stop - cut.start, round(every))
+        index = np.arange(0, len(body), round(every))
         if recipe.keep_last_frame:
-            index = np.union1d(index, cut.stop - cut.start - 1)
-        samples = body[frames][index]
+            index = np.union1d(index, len(body) - 1)
+        samples = body[index]
     else:
-        samples = resample(body[frames], frame_rate, rate)
+        samples = resample(body, frame_rate, rate)
         index = np.round(np.arange(len(samples)) * every).astype(np.int64)
-    several = len(tracks.individuals)
     signals = {}
     for key, value in tracks.signals.items():
         taken = value[frames][index][1:]
         if key in tracks.events and len(index) > 1:
             taken = np.maximum.reduceat(value[frames][: index[-1] + 1], index[:-1] + 1)
-        own = taken.ndim > 1 and taken.shape[1] == several
-        if key == HEADING and own and not even:
+        if key == HEADING and taken.ndim > 1 and not even:
             taken = resample(value[frames], frame_rate, rate, shorter_turn)[1:]
-        signals[key] = taken[:, order] if own else taken
+        signals[key] = taken
     if recipe.keep_last_frame:
         signals[INTERVAL] = np.diff(index) / frame_rate
     condition = tracks.condition if cut.condition is None else cut.condition
-    first = (samples[1] - samples[0]) * rate if len(samples) > 1 else np.zeros((several, 2))
+    first = (samples[1] - samples[0]) * rate if len(samples) > 1 else np.zeros_like(samples[0])
     return {
+        "frames": len(body),
         "positions": samples[1:],
         "initial_velocity": first,
         "condition": condition if recipe.condition is None else recipe.condition,

@@ -333,12 +333,13 @@ class Scale:
         """From the file's unit to arena units, ``(..., 2)``."""
         return np.asarray((positions - np.array(self.centre)) / self.unit * [1.0, self.y_sign])
 
-    def turn_headings(self, tracks: Tracks) -> Tracks:
-        """The recording with its headings, if it has some, counted counter-clockwise."""
-        if HEADING not in tracks.signals or self.y_sign > 0:
-            return tracks
-        turned = -np.asarray(tracks.signals[HEADING], dtype=np.float64)
-        return replace(tracks, signals={**tracks.signals, HEADING: turned})
+    def apply(self, tracks: Tracks) -> Tracks:
+        """The recording in arena units, its headings, if it has some, counter-clockwise."""
+        signals = dict(tracks.signals)
+        if HEADING in signals and self.y_sign < 0:
+            signals[HEADING] = -np.asarray(signals[HEADING], dtype=np.float64)
+        bodies = self.to_arena(tracks.bodies)
+        return tracks.with_bodies(bodies, signals=signals, unit="arena unit")
 
 
 def scales_of(

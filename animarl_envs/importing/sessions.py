@@ -286,8 +286,8 @@ def assign_focus(
 
 def assign_roles(
     cleaned: Sequence[Tracks], focus: FocusRole | None, recipe: ImportRecipe, name: str
-) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
-    """Names and roles, whom all others face last, and the order of the tracks' columns."""
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and roles, whom all others face last."""
     first = cleaned[0]
     names = first.individuals
     for tracks in cleaned:
@@ -302,10 +302,9 @@ def assign_roles(
             f"{name}: {tracks.recording} has {tracks.frame_rate} frames a second, "
             f"{first.recording} {first.frame_rate}: give a decision rate",
         )
-    order = list(range(len(names)))
     if focus is None:
         role = "searcher" if recipe.searcher else "pursuer"
-        return names, (role,) * len(names), order
+        return names, (role,) * len(names)
     require(
         len(names) > 1,
         f"{name}: {names[0]} is recorded alone, so nobody pursues it: leave --target out, or say "
@@ -315,9 +314,8 @@ def assign_roles(
         focus.name in names,
         f"{name}: there is no {focus.role} {focus.name!r}: choose among {', '.join(names)}",
     )
-    order.append(order.pop(names.index(focus.name)))
-    roles = (MANY[focus.role],) * (len(names) - 1) + (focus.role,)
-    return tuple(names[i] for i in order), roles, order
+    others = [name for name in names if name != focus.name]
+    return (*others, focus.name), (MANY[focus.role],) * len(others) + (focus.role,)
 
 
 def _stated_focus(session: Session, name: str, recording: str) -> FocusRole | None:

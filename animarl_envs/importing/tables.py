@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
@@ -26,7 +26,15 @@ from animarl_envs import files
 from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require, require_extra
-from animarl_envs.importing import table_layout
+from animarl_envs.importing.table_layout import (
+    BLANK,
+    UTF_8,
+    Layout,
+    encoding_of,
+    is_number,
+    layout_of_lines,
+    split_cells,
+)
 
 EXTENSIONS = (
     ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq",
@@ -54,13 +62,18 @@ class Words:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table(table_layout.Layout):
-    """A table whose layout is known; its columns are read on demand."""
+class Table(Layout):
+    """A table whose layout is known; its columns are read on demand.
+
+    ``content`` is all of it as UTF-8, where it is not a file in UTF-8 as it stands; blanks between
+    cells are then tabs.
+    """
 
     path: Path
-    encoding: str = table_layout.UTF_8
+    encoding: str = UTF_8
     sheet: str | None = None
     kind: str = "text"  # or workbook, packed text, Parquet
+    content: bytes | None = None
 
     @property
     def description(self) -> str:
@@ -68,9 +81,7 @@ class Table(table_layout.Layout):
         if self.kind == "Parquet":
             return self.kind
         kind = self.kind if self.kind == "workbook" else f"{self.kind} in {self.encoding}"
-        sign = {"\t": "tabs", table_layout.BLANK: "blanks"}.get(
-            self.separator, repr(self.separator)
-        )
+        sign = {"\t": "tabs", BLANK: "blanks"}.get(self.separator, repr(self.separator))
         return f"{kind}, separator {sign}, decimal {self.decimal!r}, first row on {self.first + 1}"
 
     def place(self, row: int) -> str:
@@ -92,7 +103,7 @@ class Table(table_layout.Layout):
                 f"{self.path}: it has {len(self.names):,} columns, more than {MOST_COLUMNS:,}: cut "
                 "it in parts"
             )
-        if self.names and all(map(table_layout.is_number, self.names)):
+        if self.names and all(map(is_number, self.names)):
             raise InputError(
                 f"{self.path}: its first line holds numbers, not names: put a line of names above "
                 "them"
@@ -151,27 +162,10 @@ class Table(table_layout.Layout):
 
     # -- text ----------------------------------------------------------------------------------
 
-    @cached_property
-    def _content(self) -> bytes | None:
-        """All of it as UTF-8, where it is not a file in UTF-8 as it stands."""
-        if self.kind == "workbook":
-            raw = _sheet_as_text(self.path, self.sheet)
-        elif self.kind == "packed text":
-            raw = _unpacked(self.path)
-        elif self.encoding != table_layout.UTF_8:
-            raw = _decoded(self.path, self.encoding)
-        elif self.separator == table_layout.BLANK:
-            raw = self.path.read_bytes()
-        else:
-            return None
-        if self.separator == table_layout.BLANK:
-            return b"\n".join(b"\t".join(line.split()) for line in raw.split(b"\n"))
-        return raw
-
     def _rows(self) -> IO[bytes]:
         """The lines of numbers."""
         file: IO[bytes]
-        file = self.path.open("rb") if self._content is None else io.BytesIO(self._content)
+        file = self.path.open("rb") if self.content is None else io.BytesIO(self.content)
         for _ in range(self.first):
             file.readline(LONGEST_LINE)
         return file
@@ -186,19 +180,17 @@ class Table(table_layout.Layout):
                 f"signs between thousands, or say --option decimal={self.decimal!r} if it is the "
                 "decimal sign"
             )
-        if self._content is None:
+        if self.content is None:
             files.refuse_unfinished(self.path)
-        elif not self._content.endswith(b"\n"):
+        elif not self.content.endswith(b"\n"):
             raise files.unfinished(self.path)
         asked = [*numbers, *words]
         at = [str(self.names.index(name)) for name in asked]
         kinds = [pyarrow.float64()] * len(numbers)
         kinds += [pyarrow.dictionary(pyarrow.int32(), pyarrow.string())] * len(words)
         positions = [str(i) for i in range(len(self.names))]
-        between = (
-            "\t" if self.separator == table_layout.BLANK else self.separator
-        )  # blanks were made tabs
-        size = max(len(self._content or b"") or self.path.stat().st_size, 1)
+        between = "\t" if self.separator == BLANK else self.separator
+        size = max(len(self.content or b"") or self.path.stat().st_size, 1)
         batches = []
         try:
             with contextlib.closing(self._rows()) as file:
@@ -307,7 +299,7 @@ def plain_table(path: Path) -> Table:
         header = ""
     separator = ";" if ";" in header and "," not in header else ","
     separator = "\t" if path.suffix.lower() == ".tsv" else separator
-    names = tuple(table_layout.split_cells(header, separator))
+    names = tuple(split_cells(header, separator))
     return Table(names, separator=separator, path=path)
 
 
@@ -319,7 +311,7 @@ def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, s
     """
     files.refuse_unfinished(path)
     try:
-        with path.open(newline="", encoding=table_layout.encoding_of(path)) as file:
+        with path.open(newline="", encoding=encoding_of(path)) as file:
             header = file.readline()
             separator = max(",;\t", key=header.count)
             file.seek(0)
@@ -353,21 +345,21 @@ def _open_table(
         with _open_parquet(path) as file:
             names = tuple(str(name) for name in file.schema_arrow.names)
         return Table(names, path=path, kind="Parquet")
+    content, kind = None, "text"
     if is_workbook(path):
-        head, encoding, kind = _sheet_as_text(path, sheet)[:HEAD], table_layout.UTF_8, "workbook"
+        content, encoding, kind = _sheet_as_text(path, sheet), UTF_8, "workbook"
     elif path.suffix.lower() == PACKED:
-        head, encoding, kind = _unpacked(path)[:HEAD], table_layout.UTF_8, "packed text"
+        content, encoding, kind = _unpacked(path), UTF_8, "packed text"
     else:
         with path.open("rb") as file:
-            if file.read(len(OLD_EXCEL)) == OLD_EXCEL:
-                raise InputError(f"{path}: it is of the old Excel format: save it as .xlsx or .csv")
-            file.seek(0)
-            encoding, kind = encoding or table_layout.encoding_of(path), "text"
-            head = (
-                file.read(HEAD)
-                if encoding == table_layout.UTF_8
-                else _decoded(path, encoding)[:HEAD]
-            )
+            head = file.read(HEAD)
+        if head.startswith(OLD_EXCEL):
+            raise InputError(f"{path}: it is of the old Excel format: save it as .xlsx or .csv")
+        encoding = encoding or encoding_of(path)
+        if encoding != UTF_8:
+            content = _decoded(path, encoding)
+    if content is not None:
+        head = content[:HEAD]
     if b"\0" in head:
         raise InputError(f"{path}: it holds NUL bytes: it is no text table")
     lines = head.decode("utf-8-sig", errors="ignore").split("\n")
@@ -378,8 +370,13 @@ def _open_table(
         lines.pop()
     if not lines:
         raise InputError(f"{path}: it is empty: check the file")
-    layout = vars(table_layout.layout_of_lines(lines))
-    return Table(path=path, encoding=encoding, sheet=sheet, kind=kind, **layout)
+    layout = layout_of_lines(lines)
+    if layout.separator == BLANK:
+        rows = (path.read_bytes() if content is None else content).split(b"\n")
+        content = b"\n".join(b"\t".join(row.split()) for row in rows)
+    return Table(
+        path=path, encoding=encoding, sheet=sheet, kind=kind, content=content, **vars(layout)
+    )
 
 
 forget_tables = _open_table.cache_clear  # of files that may change, and with what they hold
