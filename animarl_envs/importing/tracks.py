@@ -332,11 +332,13 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
 
     headings = [part.signals[HEADING] for part in group if HEADING in part.signals]
     told = len(headings) == len(group) and all(own.ndim == 2 for own in headings)
+    scores = [part.confidence for part in group if part.confidence is not None]
     return replace(
         first,
+        start=begin,
         individuals=tuple(name for part in group for name in part.individuals),
         positions=joined([part.positions for part in group]),
-        confidence=None,
+        confidence=joined(scores) if len(scores) == len(group) else None,
         signals={HEADING: joined(headings)} if told else {},
         events=(),
     )

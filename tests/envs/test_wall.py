@@ -49,6 +49,8 @@ def test_values_and_arrays_come_back_as_they_are() -> None:
     assert found["a"][0].tolist() == [0, 1, 2, 3, 4] and found["a"][1:] == ["b", [1, None]]
     assert found["c"]["d"].tolist() == ["x", "yz"]
     assert len(wall.call(many, 10**6, what="x")["a"][0]) == 10**6
+    named_so = {"a": [{wall.ARRAY: 7}, {wall.ARRAY: [0]}]}  # by a file
+    assert wall.call(dict, named_so, what="x") == named_so
 
 
 def test_what_goes_wrong_is_one_sentence_and_the_next_call_works() -> None:

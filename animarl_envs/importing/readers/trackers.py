@@ -146,7 +146,7 @@ def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tr
     extensions=(".npy", ".h5", ".csv"),
 )
 def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
-    """All individuals, in pixels; the frame rate is in the file. Recording: the folder's name."""
+    """All individuals, in pixels; the frame rate is in the file. Recording: the file's name."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         table = tables.plain_table(path)

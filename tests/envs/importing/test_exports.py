@@ -230,7 +230,10 @@ def test_exports_of_one_animal_each_are_merged(tmp_path: Path) -> None:
     paths = []
     for i, who in enumerate(WHO):
         path = tmp_path / f"pair1_{who}DLC_resnet50_x.csv"
-        rows = [f"{t},{x!r},{y!r},1.0" for t, (x, y) in enumerate(BODIES[:, i].tolist())]
+        rows = [
+            f"{t},{x!r},{y!r},{0.1 if t == 20 + 5 * i else 1.0}"
+            for t, (x, y) in enumerate(BODIES[:, i].tolist())
+        ]
         path.write_text("\n".join(["scorer,s,s,s", "bodyparts,nose,nose,nose",
                                    "coords,x,y,likelihood", *rows]) + "\n")  # fmt: skip
         paths.append(str(path))
@@ -240,6 +243,7 @@ def test_exports_of_one_animal_each_are_merged(tmp_path: Path) -> None:
     demos = read(out)
     assert demos.individuals == WHO
     assert {name.partition("/")[0] for name in demos.recording.tolist()} == {"pair1"}
+    assert demos.provenance["cleaning"]["pair1"]["below_confidence"] == 2
     refuses("two files or more", animarl, "import", paths[0], *merging, "--dry-run")
 
 
