@@ -94,7 +94,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 268,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 27_993
+TESTS = 28_000
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 

@@ -191,7 +191,7 @@ def _recordings(
     (texts if clock in table.words_in else numbers).append(clock)
     number, word = table.columns([*filter(None, numbers)], [*filter(None, texts)], progress)
     zeros = np.zeros(len(next(iter(number.values()))), dtype=np.int64)
-    whole = tables.Words([path.name.removesuffix(tables.PACKED).rpartition(".")[0]], zeros)
+    whole = tables.Words([Path(path.name.removesuffix(tables.PACKED)).stem], zeros)
     sets = word.get(found.recording or "", whole)
     recording, row = sets.number, np.arange(len(zeros))  # of each, where it is in the table
     names, who = _in_natural_order(word[found.individual]) if found.individual else ([], zeros)

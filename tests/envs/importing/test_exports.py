@@ -225,6 +225,13 @@ def test_exports_take_a_decimal_sign_as_typed_in_a_shell(tmp_path: Path) -> None
     animarl("import", tmp_path / "t.csv", "--option", "decimal=,", "--dry-run")
 
 
+def test_exports_are_named_as_their_file_with_or_without_an_ending(tmp_path: Path) -> None:
+    for name in ("session1", "session1.csv", "session1.a.txt"):
+        (tmp_path / name).write_text("frame,id,x,y\n0,a,0,0\n1,a,1,1\n")
+        (tracks,) = read_tracks(tmp_path / name, "long-table")
+        assert tracks.recording == name.removesuffix(".csv").removesuffix(".txt")
+
+
 def test_exports_of_one_animal_each_are_merged(tmp_path: Path) -> None:
     """DeepLabCut's name of a file ends in that of its network."""
     paths = []
