@@ -235,9 +235,9 @@ def _recordings(
         _refuse_twice(table, name, cell, individuals)
         positions = np.full((*shape, 1, 2), np.nan)
         more_of = {key: np.full(shape, np.nan) for key in extra}
-        for further, pair in enumerate(pairs.values()):
-            for axis, column_of_axis in enumerate(pair):
-                positions.reshape(-1, 2)[cell + further, axis] = number[column_of_axis][own]
+        for further, (x, y) in enumerate(pairs.values()):
+            places = positions.reshape(-1, 2)[further:]
+            places[cell, 0], places[cell, 1] = number[x][own], number[y][own]
         for key, values in more_of.items():
             values.reshape(-1)[cell] = number[extra[key]][own]
         confidence = more_of.pop(CONFIDENCE, None)
