@@ -379,7 +379,10 @@ def _open_table(
     )
 
 
-forget_tables = _open_table.cache_clear  # of files that may change, and with what they hold
+def forget_tables() -> None:
+    """Forget files, which may change, and with them what they hold."""
+    _open_table.cache_clear()
+    _read_sheets.cache_clear()
 
 
 def _decoded(path: Path, encoding: str) -> bytes:
@@ -433,6 +436,12 @@ def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
 def _sheets(path: Path) -> dict[str, Any]:
     """All sheets of a workbook, as they are."""
     files.refuse_special(path)
+    status = path.stat()
+    return _read_sheets(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=1)
+def _read_sheets(path: Path, changed: int, size: int) -> dict[str, Any]:
     with require_extra("reading Excel workbooks", "data"):
         import openpyxl  # noqa: F401
         import pandas

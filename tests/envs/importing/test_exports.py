@@ -17,7 +17,7 @@ from commands import animarl
 from numpy.typing import NDArray
 from refusals import refuses
 
-from animarl_envs.importing.readers import find_reader, read, read_tracks
+from animarl_envs.importing.readers import find_reader, get_reader, read, read_tracks
 from animarl_envs.importing.tracks import merge
 from tools.fuzz.layouts import BODIES
 
@@ -252,6 +252,18 @@ def test_exports_of_one_animal_each_are_merged(tmp_path: Path) -> None:
     assert {name.partition("/")[0] for name in demos.recording.tolist()} == {"pair1"}
     assert demos.provenance["cleaning"]["pair1"]["below_confidence"] == 2
     refuses("two files or more", animarl, "import", paths[0], *merging, "--dry-run")
+
+
+def test_exports_in_a_workbook_of_many_sheets_are_parsed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Parsed anew for each sheet, a workbook of eight would take too long to be read."""
+    ethovision_workbook(path := tmp_path / "Raw data-Trial 1.xlsx")
+    parsed, read_excel = [], pd.read_excel
+    monkeypatch.setattr(pd, "read_excel", lambda *a, **k: parsed.append(a) or read_excel(*a, **k))
+    assert get_reader("ethovision").sniff(path)
+    assert len(get_reader("ethovision").function(path)) == len(WHO)
+    assert len(parsed) == 1
 
 
 def test_exports_in_workbooks_that_ask_for_too_much_are_refused(tmp_path: Path) -> None:
