@@ -109,15 +109,18 @@ def load_sessions(
     recordings: Sequence[Tracks], metadata: str | None, name_pattern: str | None
 ) -> Sessions:
     """What a table or a pattern says of recordings; nothing, where neither is given."""
+    names = [tracks.recording for tracks in recordings]
     if metadata is not None:
-        return read_sessions(Path(metadata))
+        return read_sessions(Path(metadata), names)
     if name_pattern is not None:
-        return sessions_by_name(name_pattern, [tracks.recording for tracks in recordings])
+        return sessions_by_name(name_pattern, names)
     return Sessions()
 
 
-def read_sessions(path: Path) -> Sessions:
+def read_sessions(path: Path, recordings: Sequence[str] = ()) -> Sessions:
     """A table with a column ``recording`` and any of :data:`COLUMNS`.
+
+    What is no name of one of the ``recordings`` may be that of its file, with the ending.
 
     Conditions are 0 and 1, or two words, of which the first that occurs is 0. Roles are a column
     ``target`` with a name, or rows of ``recording, individual, role``.
@@ -129,7 +132,7 @@ def read_sessions(path: Path) -> Sessions:
     for number, row in rows:
         place, name = f"{path}: line {number}", row["recording"]
         suffix = Path(name).suffix
-        if re.fullmatch(r"\.[A-Za-z]\w{0,4}", suffix):  # a file's name stands for its recording
+        if name not in recordings and re.fullmatch(r"\.[A-Za-z]\w{0,4}", suffix):
             name = name.removesuffix(suffix)
         require(name, f"{place} names no recording: fill the cell, or delete the line")
         own = _session(row, place)

@@ -85,6 +85,14 @@ def test_metadata_gives_conditions_and_splits_with_every_cut(
     assert Demonstrations.load(again).fingerprint() == demos.fingerprint()
 
 
+def test_metadata_of_recordings_with_points_in_their_names(tmp_path: Path) -> None:
+    path = tmp_path / "sessions.csv"
+    for ending in ("", ".csv"):
+        path.write_text(f"recording,condition\nm1.pre{ending},sham\nm1.post{ending},drug\n")
+        sessions = read_sessions(path, ["m1.pre", "m1.post"])
+        assert [sessions.of(name).condition for name in ("m1.pre", "m1.post")] == ["sham", "drug"]
+
+
 def test_metadata_from_names_of_recordings(files: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out.npz"
     pattern = "(?P<condition>sham|drug)_"
