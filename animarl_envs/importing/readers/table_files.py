@@ -194,7 +194,8 @@ def _recordings(
     whole = tables.Words([Path(path.name.removesuffix(tables.PACKED)).stem], zeros)
     sets = word.get(found.recording or "", whole)
     recording, row = sets.number, np.arange(len(zeros))  # of each, where it is in the table
-    names, who = _in_natural_order(word[found.individual]) if found.individual else ([], zeros)
+    names = word[found.individual].entries if found.individual else list(pairs)[:1]
+    who = word[found.individual].number if found.individual else zeros
     start = np.zeros(len(sets.entries))
     if found.frame is not None:
         frames = _frame_numbers(table, found.frame, number[found.frame])
@@ -207,7 +208,7 @@ def _recordings(
         if found.frame is not None:
             fps = rate_of_frames(path, frames, when, recording)
         else:
-            track = recording * max(len(names), 1) + who
+            track = recording * len(names) + who
             refuse_times_going_back(path, when, track, table.place)
             if fps is None and (fps := irregular_rate(when, track)) is not None:
                 require(
@@ -225,13 +226,12 @@ def _recordings(
     tracks = []
     for at, name in enumerate(sets.entries):
         own: Any = np.flatnonzero(recording == at) if len(sets.entries) > 1 else slice(None)
-        individuals, column = list(pairs), zeros[:1]
+        individuals, place = list(pairs), zeros[:1]
         if found.individual:
-            ids = np.unique(who[own])
-            individuals, column = [names[i] for i in ids], np.searchsorted(ids, who[own])
+            individuals, place = _in_natural_order(names, who[own])
         shape = (int(frames[own].max()) + 1, len(individuals))
         _check_extent(table, name, shape, frames[own], row[own])
-        cell = frames[own] * len(individuals) + column
+        cell = frames[own] * len(individuals) + place[who[own]]
         _refuse_twice(table, name, cell, individuals)
         positions = np.full((*shape, 1, 2), np.nan)
         more_of = {key: np.full(shape, np.nan) for key in extra}
@@ -258,15 +258,17 @@ def _recordings(
     return tracks
 
 
-def _in_natural_order(words: tables.Words) -> tuple[list[str], Whole]:
-    """Return the entries, 2 before 10, and for each row the number of its own."""
+def _in_natural_order(entries: list[str], numbers: Whole) -> tuple[list[str], Whole]:
+    """Return those entries that occur, 2 before 10, and the place of each entry among these."""
 
-    def pieces(entry: str) -> list[tuple[int, int, str]]:
-        parts = re.findall(r"\d+|\D+", entry)
+    def pieces(number: int) -> list[tuple[int, int, str]]:
+        parts = re.findall(r"\d+|\D+", entries[number])
         return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
 
-    order = sorted(range(len(words.entries)), key=lambda i: pieces(words.entries[i]))
-    return [words.entries[i] for i in order], np.argsort(order)[words.number]
+    order = sorted(np.unique(numbers).tolist(), key=pieces)
+    place = np.zeros(len(entries), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return [entries[number] for number in order], place
 
 
 def wide_columns(table: tables.Table, found: Columns) -> Pairs:
