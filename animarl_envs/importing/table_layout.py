@@ -168,7 +168,8 @@ def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
         return sum(is_number(cell, decimal) for cell in row)
 
     def may_be_header(row: Sequence[str]) -> bool:  # a remark fills one or two cells
-        return len(row) == width and any(row[2:] if width > 3 else row)
+        remark = 2 if width > 3 or (width == 3 and row[0]) else 0
+        return len(row) == width and any(row[remark:])
 
     first = next((i for i, row in enumerate(rows) if may_be_header(row) and numbers(row)), -1)
     if not 0 <= first <= HEADER_LINES:

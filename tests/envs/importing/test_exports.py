@@ -225,6 +225,15 @@ def test_exports_take_a_decimal_sign_as_typed_in_a_shell(tmp_path: Path) -> None
     animarl("import", tmp_path / "t.csv", "--option", "decimal=,", "--dry-run")
 
 
+@pytest.mark.parametrize("title", ["Experiment 5,,", "Experiment,5,", ",,", "Experiment 5"])
+def test_exports_with_a_title_keep_their_frames(title: str, tmp_path: Path) -> None:
+    """Of three columns a title is padded to as many cells as the header has."""
+    (tmp_path / "t.csv").write_text(f"{title}\nframe,x,y\n0,,\n1,1.5,2\n4,4.5,5\n")
+    (tracks,) = read_tracks(tmp_path / "t.csv")
+    assert tracks.individuals == ("individual_0",) and len(tracks) == 5
+    assert np.flatnonzero(np.isfinite(tracks.bodies[:, 0, 0])).tolist() == [1, 4]
+
+
 def test_exports_are_named_as_their_file_with_or_without_an_ending(tmp_path: Path) -> None:
     for name in ("session1", "session1.csv", "session1.a.txt"):
         (tmp_path / name).write_text("frame,id,x,y\n0,a,0,0\n1,a,1,1\n")
