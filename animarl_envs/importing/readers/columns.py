@@ -58,6 +58,7 @@ USUAL_NAMES = {
     ),
     "confidence": ("confidence likelihood score probability prob",),
 }
+CLOCKS = ("frame", "time")
 _WORDS = r"pos|position|coord|coordinate|centroid|center|centre|loc|location|wcentroid"
 _AXIS = re.compile(rf"(?:(?:{_WORDS}|c)?[xy]|[xy](?:{_WORDS}|c)?)")
 _ANGLE_UNIT = re.compile(r"[\s_/\[(]+(rad|deg)(?:ians?|rees?|s)?[\])]?\s*$", re.IGNORECASE)
@@ -78,6 +79,11 @@ class Named:
     def key(self) -> str:
         """Name without separators and case, for matching."""
         return re.sub(r"[\s_.\-#]+", "", self.bare).lower()
+
+    @property
+    def clock(self) -> str:
+        """The key without what stands in brackets: of times, how they are written."""
+        return re.split(r"[\[(]", self.key)[0]
 
 
 @dataclass(frozen=True)
@@ -170,10 +176,13 @@ def find_columns(table: Table) -> Columns:
     unclear = []
     for part, ranks in USUAL_NAMES.items():
         fitting = [[one for one in known if one.key in rank.split()] for rank in ranks]
+        if part in CLOCKS:
+            fitting += [[one for one in known if one.clock in rank.split()] for rank in ranks]
         best = next(filter(None, fitting), [])
         if len(best) == 1:
             parts[part] = best[0].column
-            parts |= {"time_unit": best[0].unit} if part == "time" else {}
+            if part == "time":
+                parts["time_unit"] = best[0].unit or best[0].key[len(best[0].clock) :].strip("[]()")
         elif best:
             unclear.append(part)
     by_key = {one.key: one for one in known}

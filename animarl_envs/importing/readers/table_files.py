@@ -4,6 +4,7 @@ Columns are found by their names or named by options. A table may hold several r
 apart by a column. The frame rate comes from ``fps``, or from a column of times.
 """
 
+import contextlib
 import itertools
 import re
 from dataclasses import replace
@@ -18,7 +19,9 @@ from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
 from animarl_envs.importing.readers.columns import (
+    CLOCKS,
     LARGEST_FRAME,
+    UNEVEN,
     Columns,
     check_rate,
     even_rows,
@@ -161,6 +164,8 @@ def read_wide_table(
         f"{path}: it has no pairs of x and y columns: name them, such as "
         "columns: {male: [mx, my], female: [fx, fy]}",
     )
+    if not (frame or time or found.frame or found.time):
+        _refuse_hidden_clock(table, found, pairs)
     units = {one.column: one.unit for one in parsed_names(table.names, table.units)}
     found = replace(
         found.with_clock(frame, time, time_unit),
@@ -297,6 +302,29 @@ def _refuse_lone(path: Path, names: list[str]) -> None:
                 f"{path}: it has a column {name!r} and no {partner!r}: correct the header, or "
                 "name the pairs by the option columns",
             )
+
+
+def _refuse_hidden_clock(table: tables.Table, found: Columns, pairs: Pairs) -> None:
+    """Refuse a table whose rows would be taken for one frame after the other, and are not."""
+    unclear = ", ".join(part for part in CLOCKS if part in found.unclear)
+    require(
+        not unclear,
+        f"{table.path}: several of its columns may be of {unclear}: name the one by that option",
+    )
+    first, values = table.names[0], np.zeros(0)
+    if first not in {found.recording, *table.words_in, *itertools.chain(*pairs.values())}:
+        with contextlib.suppress(InputError):  # it holds more than numbers
+            values = table.columns([first])[0][first]
+    step = np.diff(values)
+    if len(step) and (step > 0).all():
+        steps = step / np.median(step)
+        row = int(steps.argmax()) + 1
+        require(
+            round(steps.max()) == 1 or (np.abs(steps - np.rint(steps)) > UNEVEN).any(),
+            f"{table.path}: its first column, {first!r}, rises as frames or times do, and before "
+            f"{table.place(row)} some are missing: name it in the file, or by the option frame or "
+            "time",
+        )
 
 
 def _frame_numbers(table: tables.Table, column: str, frames: NDArray[np.float64]) -> Whole:

@@ -234,6 +234,36 @@ def test_exports_with_a_title_keep_their_frames(title: str, tmp_path: Path) -> N
     assert np.flatnonzero(np.isfinite(tracks.bodies[:, 0, 0])).tolist() == [1, 4]
 
 
+GAPS = (0, 1, 2, 3, 7, 8)  # frames that are left
+
+
+@pytest.mark.parametrize(
+    ("clock", "said"),
+    [
+        ("index", "first column, 'index', rises"), ("", "first column, '', rises"),
+        ("Time since start", "before line 6 some are missing"),
+        ("t,time", "several of its columns may be of time"),
+        ("frame,frame_id", "several of its columns may be of frame"), ("time (h)", ""),
+        ("Time [hh:mm:ss]", ""), ("Frame (n)", ""), ("temperature", ""),
+    ],
+)  # fmt: skip
+def test_exports_of_one_animal_lose_no_gap_whatever_their_clock_is_called(
+    clock: str, said: str, tmp_path: Path
+) -> None:
+    cells = {"time (h)": "{h}", "Time [hh:mm:ss]": "0:00:0{t}", "temperature": "20"}
+    cell = cells.get(clock, ",".join(["{t}"] * (1 + clock.count(","))))
+    rows = [f"{cell.format(t=t, h=f'{t / 90000:.9f}')},{t},{t}\n" for t in GAPS]
+    path = tmp_path / "t.csv"
+    path.write_text(f"{clock},x,y\n{''.join(rows)}")
+    if said:
+        refuses(said, read_tracks, path)
+        return
+    (tracks,) = read_tracks(path)
+    x = tracks.bodies[:, 0, 0]
+    assert x[np.isfinite(x)].tolist() == list(GAPS)
+    assert len(tracks) == (6 if clock == "temperature" else 9)
+
+
 def test_exports_are_named_as_their_file_with_or_without_an_ending(tmp_path: Path) -> None:
     for name in ("session1", "session1.csv", "session1.a.txt"):
         (tmp_path / name).write_text("frame,id,x,y\n0,a,0,0\n1,a,1,1\n")
