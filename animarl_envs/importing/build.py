@@ -1,5 +1,7 @@
 """Following a recipe: tracks are cleaned, scaled, cut, thinned and dealt to the splits."""
 
+import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -38,6 +40,7 @@ from animarl_envs.locomotion import shorter_turn
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
 NEARLY_ALL = 0.99  # of what was tracked of free animals is used, or it is said how much
+SAME_RATE = 0.01  # relative, by which the rate of a file may differ from one that is stated
 FEWEST_SAMPLES = 2  # of an episode, besides the one that makes its first velocity
 
 
@@ -53,6 +56,16 @@ def demonstrations_from_tracks(
         any(len(tracks) > 1 for tracks in recordings),
         f"{name}: its recordings have one frame each, an episode needs two or more: check it",
     )
+    for one in recordings:
+        if recipe.frame_rate and not math.isclose(
+            recipe.frame_rate, one.frame_rate or recipe.frame_rate, rel_tol=SAME_RATE
+        ):
+            warnings.warn(
+                f"{one.recording}: its file says {one.frame_rate:g} frames a second, taken are the "
+                f"{recipe.frame_rate:g} of --fps: leave it out if the file is right",
+                stacklevel=2,
+            )
+            break
     sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
     named = [sessions.apply(apply_names(tracks, recipe)) for tracks in recordings]
     several = any(len(tracks.individuals) > 2 for tracks in named)

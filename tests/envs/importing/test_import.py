@@ -1,6 +1,7 @@
 """``animarl import``, ``animarl data`` and ``animarl fit``: from file to file, all or nothing."""
 
 import csv
+import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -34,6 +35,16 @@ def test_import_writes_demonstrations_and_a_recipe_that_repeats_them(tmp_path: P
     again = tmp_path / "again.npz"
     animarl("import", table, "--recipe", tmp_path / "out" / "demos.recipe.yaml", "--out", again)
     assert Demonstrations.load(again).fingerprint() == demos.fingerprint()
+
+
+def test_import_says_where_a_stated_rate_is_not_that_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    rows = [f"{t / 25},{x},{x + t / 10},{t / 5}\n" for t in range(99) for x in (0, 5)]
+    path.write_text("time,id,x,y\n" + "".join(rows))
+    with pytest.warns(UserWarning, match="t: its file says 25 frames a second, taken are the 30"):
+        assert read(path, frame_rate=30.0).dt == pytest.approx(1 / 30)
+    with warnings.catch_warnings(action="error"):
+        assert read(path, frame_rate=25.02).dt == pytest.approx(1 / 25.02)
 
 
 def test_dry_import_says_what_it_understood_and_writes_nothing(tmp_path: Path) -> None:
