@@ -305,9 +305,6 @@ class Scaling:
         "a positive number",
     )  # fmt: skip
     boundary: float = option(1.1, "boundary", "Individuals beyond it are out, in arena units.")
-    flip_y: bool | None = option(
-        None, "", "Whether y is turned upwards; default: if it grows downwards in the file."
-    )
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -352,13 +349,13 @@ def scales_of(
     if settings.each:
         return [scale_of([tracks], settings, searched) for tracks in recordings]
     common = scale_of(recordings, settings, searched)
-    return [replace(common, y_sign=_sign(tracks, settings)) for tracks in recordings]
+    return [replace(common, y_sign=-1.0 if one.y_down else 1.0) for one in recordings]
 
 
 def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = False) -> Scale:
     """The scale of recordings whose extent is taken together."""
     first = recordings[0]
-    sign = _sign(first, settings)
+    sign = -1.0 if first.y_down else 1.0
     is_open = settings.shape == "open"
     if is_open and searched:
         return Scale(settings.centre or (0.0, 0.0), settings.units_per_arena_unit or 1.0, sign)
@@ -382,8 +379,3 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
         half > 0, f"{first.recording}: its tracks have no extent: give the arena's width instead"
     )
     return Scale(centre, half, sign)
-
-
-def _sign(tracks: Tracks, settings: Scaling) -> float:
-    flip = tracks.y_down if settings.flip_y is None else settings.flip_y
-    return -1.0 if flip else 1.0

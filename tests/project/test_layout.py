@@ -87,7 +87,7 @@ BUDGETS = {
     "animarl_envs.demos": 1_228,
     "animarl_envs.drawing": 972,
     "animarl_envs.fitting": 2_408,
-    "animarl_envs.importing": 5_203,
+    "animarl_envs.importing": 5_193,
     "animarl_envs.species": 1_206,
     "animarl_envs.views": 911,
     "animarl_envs.worlds": 4_180,

@@ -140,15 +140,13 @@ def read_mothvr(path: Path) -> list[Tracks]:
         "scaling": {"shape": "disc", "each": True},  # dishes filmed one by one
     },
 )
-def read_termites(
-    path: Path, kind: str | None = None, recordings: list[str] | None = None
-) -> list[Tracks]:
+def read_termites(path: Path, kind: str | None = None) -> list[Tracks]:
     """Male and female in mm; ``kind`` ``"Cf"`` or ``"Rs"`` takes one species."""
     rows, _ = read_rows(path.parent / "index.csv", {"key"})
     index = {row["key"]: row for _, row in rows}
     found = []
     for key, array in read_npz(path).items():
-        if (kind and not key.startswith(kind)) or (recordings and key not in recordings):
+        if kind and not key.startswith(kind):
             continue
         require(key in index, f"{path}: {key} has no row in index.csv: add it")
         try:
@@ -244,7 +242,7 @@ def read_minari(path: Path) -> Demonstrations:
     extensions=(".npz",),
     finished=True,
 )
-def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
+def read_agents(path: Path) -> Demonstrations:
     """Read one file of episodes; individuals ``predator_0 ... prey``, condition from the file.
 
     Episodes start at rest. Four fifths are for training, a tenth each for validation and test.
@@ -279,7 +277,7 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
         initial_velocity=np.zeros((count, num, 2)),
         condition=np.full(count, meta["condition"]),
         outcome=outcome,
-        split=assign_splits(recording, split_seed),
+        split=assign_splits(recording, SPLIT_SEED),
         recording=recording,
         signals={"actions": signal},
         provenance={

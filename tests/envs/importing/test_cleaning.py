@@ -104,8 +104,8 @@ def test_confidence_and_centroid() -> None:
 @pytest.mark.parametrize("flip", [False, True])
 def test_scaling_is_invertible_and_fills_the_arena(shape: str, flip: bool) -> None:
     bodies = np.random.default_rng(1).uniform(100, 900, (200, 2, 2))
-    settings = Scaling(shape=shape, flip_y=flip, units_per_arena_unit=1000.0)  # type: ignore[arg-type]
-    scale = scale_of([tracks(bodies)], settings)
+    settings = Scaling(shape=shape, units_per_arena_unit=1000.0)  # type: ignore[arg-type]
+    scale = scale_of([tracks(bodies, y_down=flip)], settings)
     scaled = scale.to_arena(bodies)
     back = scaled * [1.0, scale.y_sign] * scale.unit + scale.centre
     np.testing.assert_allclose(back, bodies, atol=1e-10)
