@@ -20,7 +20,7 @@ from pydantic import Field
 
 from animarl_algos.checked import Checked
 from animarl_algos.replay import sequence_kernels as kernels
-from animarl_algos.replay.store import NO_LABEL, Frames, SequenceBatch, Sequences, gather
+from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
 from animarl_envs.errors import InputError
 
 
@@ -93,15 +93,6 @@ def check_memory(arrays: Sequence[Any], setting: str) -> None:
         )
 
 
-STEP: dict[str, tuple[type, str]] = {
-    **{"observations": (np.float32, "seen"), "actions": (np.int64, "pair")},
-    **{"rewards": (np.float32, "pair"), "next_observations": (np.float32, "seen")},
-    **{"terminated": (np.bool_, "each"), "truncated": (np.bool_, "each")},
-    **{"penalties": (np.float32, "pair"), "labels": (np.int64, "pair")},
-    **{"warmup": (np.bool_, "each"), "hidden": (np.float32, "state")},
-    "condition": (np.float32, "each"),
-}
-"""Type and shape of each part of a step."""
 _SETTINGS = (
     "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
     "stride", "burn_in", "state_size", "prioritized", "max_episodes",
@@ -233,8 +224,17 @@ class SequenceReplayBuffer:
 
     # -- adding -----------------------------------------------------------------------------------
 
-    def add(self, **step: Any) -> None:
-        """Add one step of every copy, whose parts :class:`.sequence_kernels.Step` names.
+    def add(
+        self,
+        *,
+        next_observations: NDArray[np.floating],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_] | None = None,
+        hidden: NDArray[np.floating] | None = None,
+        condition: NDArray[Any] | None = None,
+        **frames: Any,
+    ) -> None:
+        """Add one step of every copy, whose ``frames`` are parts of :class:`.store.Frames`.
 
         What is None or left out is zero, labels -1. Where a copy is done, ``next_observations`` is
         its terminal observation, not the first one of the next episode; it is read only there.
@@ -243,33 +243,90 @@ class SequenceReplayBuffer:
 
         Raises InputError if an action does not fit, or an episode outgrows ``max_episode_steps``.
         """
-        each, pair = (self.num_copies,), (self.num_copies, self.num_individuals)
-        shapes = {"each": each, "pair": pair, "seen": (*pair, self.observation_dim)}
-        shapes["state"] = (*pair, self.state_size)
-        arrays: dict[str, Any] = {}
-        for name, (dtype, kind) in STEP.items():
-            value = step.get(name)
-            if value is None or (name == "hidden" and not self.state_size):
-                arrays[name] = np.full(shapes[kind], NO_LABEL if name == "labels" else 0, dtype)
-            else:
-                arrays[name] = np.array(value, dtype, order="C").reshape(shapes[kind])
-        made = kernels.Step(**arrays)
-        cut = (self.stride, self.burn_in)
-        ended = kernels.stage_steps(self.staging, made, *cut, self.num_actions)
-        if ended == kernels.BAD_ACTION:
+        staging, steps = self.staging, self.staging.step_count
+        actions = np.asarray(frames["actions"])
+        if steps.max() == self.max_episode_steps:
             raise InputError(
-                f"actions run from {made.actions.min()} to {made.actions.max()}: they must lie in "
-                f"0 .. {self.num_actions - 1}"
-            )
-        if ended == kernels.TOO_LONG:
-            raise InputError(
-                f"copy {self.staging.step_count.argmax()} is past {self.max_episode_steps} steps "
+                f"copy {steps.argmax()} is past {self.max_episode_steps} steps "
                 "without an end: raise max_episode_steps or give the environment a time limit"
             )
-        if ended:
-            kernels.commit_ended(
-                self.staging, made, self.ring, self.settings.alpha, *cut, self.max_episodes
+        if actions.min() < 0 or actions.max() >= self.num_actions:
+            raise InputError(
+                f"actions run from {actions.min()} to {actions.max()}: they must lie in "
+                f"0 .. {self.num_actions - 1}"
             )
+        rows = staging.first_rows + steps
+        staging.frames.write(rows, frames)
+        if self.state_size and hidden is not None:
+            # Pieces whose first step, prefix included, is this one.
+            begins = np.arange(0, self.max_episode_steps, self.stride) - self.burn_in
+            copies, pieces = np.nonzero(steps[:, None] == np.maximum(begins, 0))
+            staging.state[copies, pieces] = hidden[copies]
+        steps += 1
+        over = np.flatnonzero(terminated if truncated is None else terminated | truncated)
+        if len(over):
+            last = np.reshape(next_observations, (self.num_copies, -1))[over]
+            staging.frames.write(rows[over] + 1, {"observations": last})
+        for copy in over.tolist():
+            flag = 0.0 if condition is None else float(condition[copy])
+            self._commit(copy, bool(terminated[copy]), flag)
+            steps[copy] = 0
+
+    def _commit(self, copy: int, terminated: bool, condition: float) -> None:
+        """Move the finished episode of a copy from the staging rows to the ring.
+
+        Its trained parts are [0, stride), [stride, 2 stride), ...; those of warm-up steps alone are
+        left out, and so is an episode without any other.
+        """
+        ring, staging, cursor = self.ring, self.staging, self.ring.cursor
+        steps, first = int(staging.step_count[copy]), staging.first_rows[copy]
+        begin = np.arange(0, steps, self.stride)
+        warming = staging.frames.warmup[first : first + steps]
+        begin = begin[~np.logical_and.reduceat(warming, begin)]
+        if not len(begin):
+            return
+        num_slots = len(ring.sequences.first)
+        while (
+            cursor[kernels.ROWS_USED] + steps + 1 > self.buffer_size
+            or self.num_sequences + len(begin) > num_slots
+            or self.num_episodes >= self.max_episodes
+        ):
+            self._evict_oldest()
+        rows = (cursor[kernels.NEXT_ROW] + np.arange(steps + 1)) % self.buffer_size
+        staged = staging.frames._asdict().items()
+        ring.frames.write(rows, {name: of[first : first + steps + 1] for name, of in staged})
+        slots = (cursor[kernels.NEXT] + np.arange(len(begin))) % num_slots
+        prefix, end = np.minimum(self.burn_in, begin), np.minimum(begin + self.stride, steps)
+        episode = {
+            "first": rows[begin - prefix],
+            "prefix": prefix,
+            "trained": end - begin,
+            "at_start": prefix == begin,
+            "terminated": terminated & (end == steps),
+            "condition": condition,
+            "frames": np.where(begin == begin[-1], steps + 1, 0),
+            "initial_state": staging.state[copy, begin // self.stride],
+        }
+        for name, held in ring.sequences._asdict().items():
+            held[slots] = episode[name]
+        if self.prioritized:
+            new = [largest**self.settings.alpha for largest in ring.max_priority]
+            kernels.set_leaves(ring.trees, slots, np.array(new))
+        cursor[kernels.NEXT] += len(begin)
+        cursor[kernels.NEXT_ROW] = (rows[-1] + 1) % self.buffer_size
+        cursor[kernels.ROWS_USED] += steps + 1
+        cursor[kernels.EPISODES] += 1
+
+    def _evict_oldest(self) -> None:
+        """Forget the oldest episode with all its sequences."""
+        ring, cursor, most = self.ring, self.ring.cursor, self.staging.state.shape[1]
+        slots = (cursor[kernels.OLDEST] + np.arange(most)) % len(ring.sequences.first)
+        episode = slots[: np.flatnonzero(ring.sequences.frames[slots])[0] + 1]
+        if self.prioritized:
+            kernels.set_leaves(ring.trees, episode, np.zeros(self.num_individuals))
+        cursor[kernels.OLDEST] += len(episode)
+        cursor[kernels.ROWS_USED] -= ring.sequences.frames[episode[-1]]
+        cursor[kernels.EPISODES] -= 1
 
     def drop_running(self) -> None:
         """Forget the unfinished episodes of all copies, as when every copy is reset."""

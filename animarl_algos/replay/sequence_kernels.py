@@ -1,4 +1,4 @@
-"""The replay memory's loops: sum trees, staging, moving episodes to the ring, drawing.
+"""The replay memory's arrays, and its compiled loops: sum trees and drawing from them.
 
 Sum trees are for proportional prioritised sampling (Schaul et al. 2016, appendix B.2.1): K trees
 side by side, one per individual, in one array ``(K, 2 * leaves)``. The root is node 1, the children
@@ -13,13 +13,12 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.replay.store import NO_LABEL, Frames, Sequences
+from animarl_algos.replay.store import Frames, Sequences
 from animarl_envs.compiling import jit
 from animarl_envs.worlds.streams import next_uniform
 
 # Entries of a ring's cursor.
 OLDEST, NEXT, NEXT_ROW, ROWS_USED, EPISODES = 0, 1, 2, 3, 4
-BAD_ACTION, TOO_LONG = -1, -2  # what stage_steps refuses
 PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
 
 
@@ -58,27 +57,15 @@ class Staging(NamedTuple):
     state: NDArray[np.float32]  # (copies, pieces, K, H), recurrent state before each piece
 
     @property
+    def first_rows(self) -> NDArray[np.int64]:
+        """Row of the first step of each copy."""
+        return np.arange(0, len(self.frames.warmup), len(self.frames.warmup) // len(self.state))
+
+    @property
     def used_rows(self) -> NDArray[np.int64]:
         """Rows that hold steps of running episodes."""
-        room = len(self.frames.warmup) // len(self.step_count)
-        used = [copy * room + np.arange(steps) for copy, steps in enumerate(self.step_count)]
-        return np.concatenate(used)
-
-
-class Step(NamedTuple):
-    """One step of every copy."""
-
-    observations: NDArray[np.float32]  # (copies, K, n)
-    actions: NDArray[np.int64]  # (copies, K)
-    rewards: NDArray[np.float32]  # (copies, K)
-    next_observations: NDArray[np.float32]  # (copies, K, n)
-    terminated: NDArray[np.bool_]  # (copies,)
-    truncated: NDArray[np.bool_]  # (copies,)
-    penalties: NDArray[np.float32]  # (copies, K)
-    labels: NDArray[np.int64]  # (copies, K)
-    warmup: NDArray[np.bool_]  # (copies,)
-    hidden: NDArray[np.float32]  # (copies, K, H)
-    condition: NDArray[np.float32]  # (copies,)
+        steps = zip(self.first_rows, self.step_count)
+        return np.concatenate([first + np.arange(count) for first, count in steps])
 
 
 @nb.njit(inline="always")
@@ -148,130 +135,11 @@ class SumTrees:
 
 
 @jit
-def _copy_frame(source, i, target, j):  # type: ignore[no-untyped-def]
-    target.observations[j] = source.observations[i]
-    target.actions[j] = source.actions[i]
-    target.rewards[j] = source.rewards[i]
-    target.penalties[j] = source.penalties[i]
-    target.labels[j] = source.labels[i]
-    target.warmup[j] = source.warmup[i]
-
-
-@jit
-def _evict_oldest(ring):  # type: ignore[no-untyped-def]
-    """Forget the oldest episode with all its sequences."""
-    sequences, cursor, trees = ring.sequences, ring.cursor, ring.trees
-    frames = 0
-    while frames == 0:
-        slot = cursor[OLDEST] % len(sequences.first)
-        if trees.shape[1] > 0:
-            for k in range(trees.shape[0]):
-                set_leaf(trees, k, slot, 0.0)
-        frames = sequences.frames[slot]
-        cursor[OLDEST] += 1
-    cursor[ROWS_USED] -= frames
-    cursor[EPISODES] -= 1
-
-
-@jit
-def _commit(staging, step, copy, ring, alpha, stride, burn_in, max_episodes):  # type: ignore[no-untyped-def]
-    """Move the finished episode of a copy from the staging rows to the ring.
-
-    Its trained parts are [0, stride), [stride, 2 stride), ...; those of warm-up steps alone are
-    left out, and so is an episode without any other.
-    """
-    frames, sequences, cursor = ring.frames, ring.sequences, ring.cursor
-    staged, steps = staging.frames, staging.step_count[copy]
-    base = copy * (len(staged.warmup) // len(staging.step_count))
-    wanted = 0
-    for begin in range(0, steps, stride):
-        if not staged.warmup[base + begin : base + min(begin + stride, steps)].all():
-            wanted += 1
-    if wanted == 0:
-        return
-    rows, slots = len(frames.warmup), len(sequences.first)
-    while (
-        cursor[ROWS_USED] + steps + 1 > rows
-        or cursor[NEXT] - cursor[OLDEST] + wanted > slots
-        or cursor[EPISODES] >= max_episodes
-    ):
-        _evict_oldest(ring)
-    first_row = cursor[NEXT_ROW]
-    for t in range(steps + 1):
-        _copy_frame(staged, base + t, frames, (first_row + t) % rows)
-    cursor[NEXT_ROW] = (first_row + steps + 1) % rows
-    cursor[ROWS_USED] += steps + 1
-    cursor[EPISODES] += 1
-    slot = 0
-    for begin in range(0, steps, stride):
-        end = min(begin + stride, steps)
-        if staged.warmup[base + begin : base + end].all():
-            continue
-        slot = cursor[NEXT] % slots
-        prefix = min(burn_in, begin)
-        sequences.first[slot] = (first_row + begin - prefix) % rows
-        sequences.prefix[slot] = prefix
-        sequences.trained[slot] = end - begin
-        sequences.at_start[slot] = prefix == begin
-        sequences.terminated[slot] = step.terminated[copy] and end == steps
-        sequences.condition[slot] = step.condition[copy]
-        sequences.frames[slot] = 0
-        sequences.initial_state[slot] = staging.state[copy, begin // stride]
-        if ring.trees.shape[1] > 0:
-            for k in range(ring.trees.shape[0]):
-                set_leaf(ring.trees, k, slot, ring.max_priority[k] ** alpha)
-        cursor[NEXT] += 1
-    sequences.frames[slot] = steps + 1
-
-
-@jit
-def stage_steps(staging, step, stride, burn_in, num_actions):  # type: ignore[no-untyped-def]
-    """Write one step of every copy into the staging rows; the number of episodes that ended.
-
-    Nothing is written, and ``BAD_ACTION`` or ``TOO_LONG`` returned, if a step does not fit.
-    """
-    frames = staging.frames
-    copies, individuals, _ = step.observations.shape
-    room = len(frames.warmup) // copies
-    for c in range(copies):
-        if staging.step_count[c] + 1 >= room:
-            return TOO_LONG
-        for k in range(individuals):
-            if not 0 <= step.actions[c, k] < num_actions:
-                return BAD_ACTION
-    ended = 0
-    for c in range(copies):
-        t = staging.step_count[c]
-        row = c * room + t
-        done = step.terminated[c] or step.truncated[c]
-        ended += done
-        _copy_frame(step, c, frames, row)
-        if done:
-            frames.observations[row + 1] = step.next_observations[c]
-            frames.actions[row + 1] = 0
-            frames.rewards[row + 1] = 0.0
-            frames.penalties[row + 1] = 0.0
-            frames.labels[row + 1] = NO_LABEL
-        frames.warmup[row + 1] = False
-        if staging.state.shape[3] > 0:
-            # Pieces whose first step, prefix included, is this one.
-            begin, end = 0, burn_in // stride + 1
-            if t > 0:
-                begin, end = (t + burn_in) // stride, (t + burn_in) // stride + 1
-                end = end if (t + burn_in) % stride == 0 else begin
-            for piece in range(begin, min(end, staging.state.shape[1])):
-                staging.state[c, piece] = step.hidden[c]
-        staging.step_count[c] = t + 1
-    return ended
-
-
-@jit
-def commit_ended(staging, step, ring, alpha, stride, burn_in, max_episodes):  # type: ignore[no-untyped-def]
-    """Move the episodes that ended from staging to the ring, in the order of the copies."""
-    for c in range(len(staging.step_count)):
-        if step.terminated[c] or step.truncated[c]:
-            _commit(staging, step, c, ring, alpha, stride, burn_in, max_episodes)
-            staging.step_count[c] = 0
+def set_leaves(trees, leaves, values):  # type: ignore[no-untyped-def]
+    """Give each of ``leaves`` of every tree k the priority ``values[k]``."""
+    for k in range(len(trees)):
+        for leaf in leaves:
+            set_leaf(trees, k, leaf, values[k])
 
 
 @jit

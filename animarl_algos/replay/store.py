@@ -6,6 +6,7 @@ lie among the frames.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -40,6 +41,15 @@ class Frames(NamedTuple):
             *(np.zeros(each, np.float32), np.zeros(each, np.float32)),
             *(np.zeros(each, np.int16), np.zeros(rows, np.bool_)),
         )
+
+    def write(self, rows: NDArray[np.int64], step: Mapping[str, Any]) -> None:
+        """Fill ``rows``; what ``step`` leaves out or has as None is zero, labels ``NO_LABEL``."""
+        for name, array in self._asdict().items():
+            value = step.get(name)
+            if value is None:
+                array[rows] = NO_LABEL if name == "labels" else 0
+            else:
+                array[rows] = np.reshape(value, (len(rows), *array.shape[1:]))
 
 
 class Sequences(NamedTuple):
