@@ -54,15 +54,15 @@ class StaysFinite(BoundaryCallback):
 
 
 def require_finite(model: SequenceQLearning) -> None:
-    """Online and target weights, the losses summed since the last log, the offline curves."""
+    """Online and target weights, the mean losses since the last log, the offline curves."""
     step = f"{type(model).__name__} at step {model.num_timesteps}"
     for network in (model.policy.q_net, model.policy.q_net_target):
         for name, parameter in network.named_parameters():
             if not torch.isfinite(parameter).all():
                 raise FloatingPointError(f"{step}: weight {name} is not finite")
-    for name, total in model.updater.totals.items():
-        if not torch.isfinite(total).all():
-            raise FloatingPointError(f"{step}: loss {name} is not finite")
+    for name, mean in model.logger.name_to_value.items():
+        if name.startswith("train/") and not np.isfinite(mean):
+            raise FloatingPointError(f"{step}: {name} is not finite")
     for row in model.offline_progress.history:
         for name, value in row.items():
             if name.startswith("train/") and not np.isfinite(value):

@@ -38,7 +38,6 @@ from animarl_algos.benchmark.scores import Score, crossed_score, score
 from animarl_algos.evaluation.collect import Cue, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.presets import constructed
-from animarl_algos.losses.terms import OfflineLoss
 from animarl_algos.recipes.registry import SoftBC, named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
@@ -329,7 +328,7 @@ def cloning(settings: RunSettings) -> RunSettings | None:
     """
     algorithm = named_recipe(settings.algo).algorithm
     own, determining = algorithm.recipe, _determining(settings)
-    if settings.learner().arguments.get("offline_loss") == OfflineLoss.CLONING:
+    if settings.learner().arguments.get("offline_loss") == "cloning":
         own = own.cloning()
     alike = own.offline == SoftBC.recipe.offline and own.selection is SoftBC.recipe.selection
     if not (alike and determining["offline_epochs"]):

@@ -3,9 +3,9 @@
 :class:`SequenceQLearning` turns an SB3 off-policy algorithm (DQN, or QRDQN of sb3-contrib) into a
 learner with a memory: K individuals, each with its own network, acting in the slots of a VecEnv and
 learning from whole episodes or pieces of them. It joins parts that know no learner:
-:mod:`.pretraining` (the offline phase), :mod:`.collecting` (a step of acting) and :mod:`.updates`
-(when to learn, and how). What the loss is made of is the recipe's business
-(:mod:`animarl_algos.losses.terms`); how values are represented is the value distribution's.
+:mod:`.pretraining` (the offline phase) and :mod:`.updates` (when to learn, and how). What the loss
+is made of is the recipe's business (:mod:`animarl_algos.losses.terms`); how values are represented
+is the value distribution's.
 """
 
 from typing import Any, Self
@@ -20,20 +20,22 @@ from stable_baselines3.common.utils import configure_logger, polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.data.vec_env import Feedback
 from animarl_algos.learner.base import BaseLearner
 from animarl_algos.learner.callbacks import with_progress_bar
 from animarl_algos.learner.checks import check_demonstrations, check_environment_supports
-from animarl_algos.learner.collecting import Collector, Exploration, fit_boltzmann_temperature
 from animarl_algos.learner.pretraining import (
     DemonstratedValues,
     OfflineProgress,
     Pretraining,
     demonstrated_values,
+    fit_boltzmann_temperature,
 )
-from animarl_algos.learner.updates import Updater
-from animarl_algos.losses.terms import OfflineLoss, Recipe
+from animarl_algos.learner.updates import minibatch_values, update
+from animarl_algos.losses.terms import Recipe
+from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.acting_rule import Acting, Kind
-from animarl_algos.networks.policies import values_to_logits, zero_value_stream
+from animarl_algos.networks.policies import State, values_to_logits, zero_value_stream
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -50,8 +52,7 @@ class SequenceQLearning(BaseLearner):
     @property
     def offline_recipe(self) -> Recipe:
         """The recipe whose offline terms are minimised; see ``offline_loss``."""
-        cloning = self.offline_loss == OfflineLoss.CLONING
-        return self.recipe.cloning() if cloning else self.recipe
+        return self.recipe.cloning() if self.offline_loss == "cloning" else self.recipe
 
     def demonstration_data(self) -> Any:
         """Return the demonstrations that were given, or else the environment's own."""
@@ -126,11 +127,11 @@ class SequenceQLearning(BaseLearner):
         data, policy = self.demonstration_data(), self.policy
         check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
         self.offline_phase().run(data, self.logger, self.at_boundary, progress_bar=progress_bar)
-        if self.offline_loss == OfflineLoss.CLONING:
+        if self.offline_loss == "cloning":
             zero_value_stream(policy.q_net)
             zero_value_stream(policy.q_net_target)
         policy.reset_optimizer(self.lr_schedule(1.0))
-        if self.exploration == Exploration.BOLTZMANN:
+        if self.exploration == "boltzmann":
             policy.acting = Acting.boltzmann(self.fit_temperature(data.val))
         if self.recipe.inverse:
             values_to_logits(policy)
@@ -173,8 +174,8 @@ class SequenceQLearning(BaseLearner):
             total_timesteps, callback, reset_num_timesteps, *rest
         )
         self._last_obs = np.array(self._last_obs)
-        self.updater = Updater(self.policy, self.recipe.online)
-        self.collector = Collector(self.policy, self.env, self.layout, self.recipe)
+        self.feedback = Feedback(self.env)
+        self.treatments_told: Any = 0  # apart, since the last log
         self._set_exploration()
         return total_timesteps, callback
 
@@ -223,13 +224,18 @@ class SequenceQLearning(BaseLearner):
             and self.num_timesteps < self._total_timesteps
             and schedule.needs_more_steps(train_freq)
         ):
-            last_obs: Any = self._last_obs
             self._set_exploration()  # whatever a callback left there
-            at_random = self.num_timesteps < learning_starts
             # Callbacks of stable-baselines3 read these by name.
-            actions, new_obs, rewards, dones, infos, self.memory = self.collector.step(
-                replay_buffer, last_obs, self.memory, at_random=at_random
-            )
+            actions, (hidden, _) = self._choose_actions(learning_starts)
+            new_obs, rewards, dones, infos = env.step(actions)
+            new_obs = np.array(new_obs)  # an environment may overwrite its own
+            self.feedback.update(infos)
+            executed = self.feedback.executed(actions)
+            self._store_transition(replay_buffer, executed, new_obs, rewards, dones, infos)
+            previous = executed.astype(np.int64)
+            # Episodes that begin have no memory and no previous action.
+            hidden[dones], previous[dones] = 0.0, self.policy.num_actions
+            self.memory = hidden, previous
             self._last_obs, self._last_episode_starts = new_obs, dones
             finished = int(dones.sum()) // self.layout.num_individuals
             self._count(copies, finished)
@@ -243,6 +249,70 @@ class SequenceQLearning(BaseLearner):
         if continue_training:
             callback.on_rollout_end()
         return RolloutReturn(schedule.steps * copies, schedule.episodes, continue_training)
+
+    def _choose_actions(self, learning_starts: int) -> tuple[NDArray[Any], State]:
+        """Return an action per slot and the memory after it: uniform before ``learning_starts``."""
+        rule = self.policy.acting
+        if self.num_timesteps < learning_starts:
+            self.policy.acting = Acting.epsilon_greedy(1.0)
+        try:
+            return self.policy.predict(self._last_obs, self.memory)  # type: ignore[arg-type]
+        finally:
+            self.policy.acting = rule
+
+    def _store_transition(
+        self,
+        replay_buffer: SequenceReplayBuffer,  # type: ignore[override]
+        buffer_action: NDArray[Any],
+        new_obs: NDArray[Any],  # type: ignore[override]
+        reward: NDArray[Any],
+        dones: NDArray[np.bool_],
+        infos: list[dict[str, Any]],
+    ) -> None:
+        """Store the step from the last observation, with the memory before it."""
+        successors = new_obs.copy()  # where a slot is done, ``new_obs`` is the next episode's first
+        for s in np.flatnonzero(dones):
+            successors[s] = infos[s]["terminal_observation"]
+        layout, recipe = self.layout, self.recipe
+
+        def by_copy(values: Any) -> Any:
+            """(S, ...) as (copies, K, ...), if there are any."""
+            shape = (layout.num_copies, layout.num_individuals, *np.shape(values)[1:])
+            return None if values is None else np.reshape(values, shape)
+
+        names = ("task_reward", "dtw_penalty", "aligned_action", "warmup", "condition")
+        given = {name: by_copy(self.feedback.get(name)) for name in names}
+        for name, needed in (
+            ("dtw_penalty", recipe.needs_distance),
+            ("aligned_action", recipe.needs_alignment),
+        ):
+            if needed and given[name] is None:
+                raise InputError(f"the environment declares {name!r} and gave none with a step")
+        done = by_copy(dones)[:, 0]
+        if not (by_copy(dones) == done[:, None]).all():
+            raise InputError(
+                "the individuals of a copy ended at different steps: an episode must end for all "
+                "of its slots together"
+            )
+        timed_out = by_copy([info.get("TimeLimit.truncated", False) for info in infos])
+        truncated = done & timed_out[:, 0].astype(bool)
+        seen = by_copy(np.asarray(self._last_obs).reshape(len(dones), -1))
+        task, warmup, condition = (given[n] for n in ("task_reward", "warmup", "condition"))
+        if condition is None and layout.condition_flag:
+            condition = seen[..., -1]
+        replay_buffer.add(
+            observations=seen,
+            actions=by_copy(buffer_action),
+            rewards=by_copy(reward) if task is None else task,
+            next_observations=by_copy(successors.reshape(len(dones), -1)),
+            terminated=done & ~truncated,
+            truncated=truncated,
+            penalties=given["dtw_penalty"],
+            labels=given["aligned_action"],
+            warmup=None if warmup is None else warmup[:, 0],
+            hidden=by_copy(self.memory[0]),
+            condition=None if condition is None else condition[:, 0],
+        )
 
     def _count(self, steps: int, episodes: int) -> None:
         """Count world steps and episodes that have just passed; do what depends on their number."""
@@ -300,8 +370,8 @@ class SequenceQLearning(BaseLearner):
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Make ``gradient_steps`` updates on sequences from the replay memory."""
-        buffer, demonstrated = self._require_buffer(), None
-        self._update_learning_rate(self.policy.optimizer)
+        buffer, policy, terms = self._require_buffer(), self.policy, self.recipe.online
+        self._update_learning_rate(policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
         if self.recipe.inverse:
             # By the seed and the updates done, so that a resumed run draws the same.
@@ -309,17 +379,37 @@ class SequenceQLearning(BaseLearner):
             demonstrated = self.demonstration_data().train.windows(
                 batch_size, gradient_steps, generator, length=buffer.stride, burn_in=buffer.burn_in
             )
-        phase = self.phase("online")
-        self.updater.run(buffer, gradient_steps, batch_size, phase, progress, demonstrated)
+        phase, needs_target = self.phase("online"), any(term.needs_target for term in terms)
+        for _ in range(gradient_steps):
+            batch = buffer.sample(batch_size, progress)
+            minibatch = minibatch_values(policy, batch, phase, needs_target=needs_target)
+            if self.recipe.inverse:
+                shown = next(demonstrated).to(policy.device)
+                minibatch.demonstrated = minibatch_values(
+                    policy, shown, phase, needs_target=needs_target
+                )
+            losses, priorities = update(
+                minibatch, terms, policy.optimizer, prioritized=buffer.prioritized
+            )
+            if priorities is not None:
+                buffer.update_priorities(batch.indices, priorities)
+            if (logits := minibatch.treatment_logits) is not None:
+                told = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
+                self.treatments_told = self.treatments_told + told
+            for name, loss in losses.items():
+                for individual, value in zip(self.layout.individuals, loss.tolist()):
+                    self.logger.record_mean(f"train/{name}/{individual}", value)
         self._n_updates += gradient_steps
 
     def dump_logs(self) -> None:
-        """Log SB3's own figures, losses per individual, epsilon and the memory's size."""
+        """Log SB3's own figures, epsilon and the memory's size beside the mean losses."""
         record, buffer = self.logger.record, self._require_buffer()
         record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, means in self.updater.means().items():
-            for individual, mean in zip(self.layout.individuals, means):
-                record(f"train/{name}/{individual}", mean)
+        if isinstance(self.treatments_told, torch.Tensor):
+            accuracy = mean_recall(self.treatments_told).tolist()
+            for individual, value in zip(self.layout.individuals, accuracy):
+                record(f"train/treatment_balanced_accuracy/{individual}", value)
+            self.treatments_told = 0
         record("rollout/exploration_rate", self.exploration_rate)
         record("rollout/buffer_episodes", buffer.num_episodes)
         record("rollout/buffer_steps", buffer.num_steps)

@@ -66,7 +66,7 @@ TO_SB3 = (
 )  # fmt: skip
 """Settings that stable-baselines3's constructor takes and keeps."""
 NOT_IN_ZIP = (
-    "demonstrations", "boundary_hooks", "memory", "collector", "updater",
+    "demonstrations", "boundary_hooks", "memory", "feedback", "treatments_told",
     "_last_obs", "_last_episode_starts", "_last_original_obs",
 )  # fmt: skip
 """What a loaded learner makes anew, beside what stable-baselines3 leaves out."""

@@ -10,7 +10,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from animarl_algos.data.vec_env import SlotLayout, declared
-from animarl_algos.learner.collecting import Exploration
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import Recipe, ScoredActionsTemporalDifference
 from animarl_algos.networks.networks import StackedQNetwork
@@ -53,7 +52,7 @@ def check_setting_combinations(
             f"policy_kwargs: n_quantiles is {given!r}: only the learners on quantiles have it, and "
             "they need it: choose another class"
         )
-    if recipe.inverse and settings["exploration"] != Exploration.BOLTZMANN:
+    if recipe.inverse and settings["exploration"] != "boltzmann":
         raise InputError(
             f"exploration is {settings['exploration']!r} and recipe {recipe.name} learns from "
             "steps that its policy samples: set it to 'boltzmann'"

@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from stable_baselines3.common.logger import Logger
 from tqdm import tqdm as lines
 from tqdm.auto import tqdm
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.settings import OfflineSettings
-from animarl_algos.learner.updates import Totals, add_losses, minibatch_values, update
+from animarl_algos.learner.updates import Totals, minibatch_values, update
 from animarl_algos.losses.terms import Phase, Recipe, Selection
 from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.layers import DropoutDraws
@@ -169,7 +170,8 @@ class Pretraining:
                 dropout=dropout,
             )
             losses, _ = update(minibatch, terms, policy.optimizer)
-            add_losses(totals, losses)
+            for name, loss in losses.items():
+                totals[name] = totals[name] + loss if name in totals else loss
             if settings.weight_decay:
                 with torch.no_grad():
                     share = rate * settings.weight_decay  # that is taken away of every weight
@@ -386,3 +388,53 @@ def demonstrated_rank(
     own = values[np.arange(len(actions)), actions][:, None]
     higher, equal = (values > own).sum(1), (values == own).sum(1)
     return np.where(np.isfinite(values).all(1), 1 + higher + (equal - 1) / 2, np.nan)
+
+
+# -- temperatures ----------------------------------------------------------------------------------
+
+LOG_TEMPERATURE_SD = 0.5
+"""How far the logarithm of a temperature lies from 0 before any action was looked at."""
+
+
+def boltzmann_nll(
+    values: NDArray[np.floating], actions: NDArray[np.integer], temperature: float
+) -> float:
+    """Return the mean negative log-likelihood [nat] of ``actions`` (N,).
+
+    Under ``softmax(values / temperature)``, ``values`` ``(N, A)`` being action values or logits.
+    """
+    scaled = values / temperature
+    scaled = scaled - scaled.max(axis=1, keepdims=True)
+    log_norm = np.log(np.exp(scaled).sum(axis=1))
+    return float(np.mean(log_norm - scaled[np.arange(len(actions)), actions]))
+
+
+def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.integer]) -> float:
+    """Return the likeliest temperature, searched over ten decades around the values' own spread.
+
+    A priori its logarithm is normal around 0, the temperature of a clone's logits, with standard
+    deviation ``LOG_TEMPERATURE_SD``. Some hundred actions outweigh that; but of a few that are all
+    the same, as of animals at rest, the likelihood alone would have them never move again.
+
+    The likelihood is unimodal in the inverse temperature (the log-likelihood of a one-parameter
+    exponential family is concave), so a bounded scalar search finds it. Raises InputError if there
+    is no demonstrated action to fit to, or the values are all equal.
+    """
+    if len(actions) == 0:
+        raise InputError("no demonstrated action to fit a temperature to: give a larger dataset")
+    values = values.astype(np.float64)
+    spread = float(np.mean(values.std(axis=1)))
+    if not spread > 0:
+        raise InputError(
+            "the action values are all equal or not finite: train before fitting a temperature"
+        )
+    result = minimize_scalar(
+        lambda log_t: (
+            len(actions) * boltzmann_nll(values, actions, spread * np.exp(log_t))
+            + ((log_t + np.log(spread)) / LOG_TEMPERATURE_SD) ** 2 / 2
+        ),
+        bounds=(np.log(1e-5), np.log(1e5)),
+        method="bounded",
+        options={"xatol": 1e-4},
+    )
+    return float(spread * np.exp(result.x))

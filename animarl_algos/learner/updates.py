@@ -1,7 +1,7 @@
-"""Updates: when they are due, one gradient step on a minibatch, and many from the replay memory."""
+"""Updates: when they are due, and one gradient step on a minibatch."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,14 +13,11 @@ from stable_baselines3.common.utils import should_collect_more_steps
 from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
 from animarl_algos.losses.values import (
     clip_grad_norm_per_individual,
-    mean_recall,
     share_gradients,
-    treatment_counts,
 )
 from animarl_algos.networks.layers import DropoutDraws, Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -258,75 +255,3 @@ def _burn_in(network: StackedQNetwork, batch: SequenceBatch) -> torch.Tensor:
         packing,
     ).final_state
     return rebuilt
-
-
-def add_losses(totals: Totals, losses: Totals) -> None:
-    """Add each term's loss to its total."""
-    for name, loss in losses.items():
-        totals[name] = totals[name] + loss if name in totals else loss
-
-
-# -- many of them ---------------------------------------------------------------------------------
-
-
-class Updater:
-    """Updates a policy's online network from sequences of the replay memory.
-
-    ``totals`` are the sum of each term ``(K,)`` over the ``updates`` since the last :meth:`means`.
-    """
-
-    def __init__(self, policy: GruPolicy, terms: Sequence[LossTerm]) -> None:
-        self._policy, self._terms = policy, terms
-        self._needs_target = any(term.needs_target for term in terms)
-        self._start_averages()
-
-    def _start_averages(self) -> None:
-        self.totals: Totals = {}
-        self.updates = 0
-
-    def run(
-        self,
-        buffer: SequenceReplayBuffer,
-        updates: int,
-        batch_size: int,
-        phase: Phase,
-        progress: float,
-        demonstrated: Iterator[SequenceBatch] | None = None,
-    ) -> None:
-        """Make ``updates`` on ``batch_size`` sequences per individual each.
-
-        ``progress`` is the share of the training that is over, from 0 to 1, by which prioritised
-        replay corrects. ``demonstrated`` gives a minibatch of demonstrated sequences for each
-        update, for terms that ask for them.
-        """
-        for _ in range(updates):
-            batch = buffer.sample(batch_size, progress)
-            minibatch = self._values(batch, phase)
-            if demonstrated is not None:
-                shown = next(demonstrated).to(self._policy.device)
-                minibatch.demonstrated = self._values(shown, phase)
-            losses, priorities = update(
-                minibatch, self._terms, self._policy.optimizer, prioritized=buffer.prioritized
-            )
-            if priorities is not None:
-                buffer.update_priorities(batch.indices, priorities)
-            if (logits := minibatch.treatment_logits) is not None:
-                counted = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
-                losses["treatment_counts"] = counted
-            add_losses(self.totals, losses)
-        self.updates += updates
-
-    def _values(self, batch: SequenceBatch, phase: Phase) -> MinibatchValues:
-        return minibatch_values(self._policy, batch, phase, needs_target=self._needs_target)
-
-    def means(self) -> dict[str, list[float]]:
-        """Return each term's mean over the updates since the last call, one for each individual.
-
-        With a treatment head its balanced accuracy too.
-        """
-        counts = self.totals.pop("treatment_counts", None)
-        means = {name: total / self.updates for name, total in self.totals.items()}
-        if counts is not None:
-            means["treatment_balanced_accuracy"] = mean_recall(counts)
-        self._start_averages()
-        return {name: mean.tolist() for name, mean in means.items()}

@@ -318,13 +318,6 @@ class Selection(StrEnum):
     MEAN_RANK = "mean_rank"  # of the demonstrated action's value among all actions, best 1
 
 
-class OfflineLoss(StrEnum):
-    """Loss of the offline phase."""
-
-    RECIPE = "recipe"  # the recipe's own terms (the paper)
-    CLONING = "cloning"  # cross-entropy of soft labels
-
-
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
     """The loss terms of a learner (paper, "Baseline methods").

@@ -20,7 +20,7 @@ from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, wr
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.pretraining import few_or_count
-from animarl_algos.losses.terms import OfflineLoss, Selection
+from animarl_algos.losses.terms import Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
@@ -110,7 +110,7 @@ def lacking(run: Run) -> list[str]:
 def uninformative_clones(run: Run) -> list[str]:
     """Return which clones are no better than predicting action frequencies, as one sentence."""
     algo = run.settings.algo
-    cloning = run.record["learner"].get("offline_loss") == OfflineLoss.CLONING
+    cloning = run.record["learner"].get("offline_loss") == "cloning"
     if not cloning and named_recipe(algo).algorithm.recipe.selection is Selection.MEAN_RANK:
         return []  # its values are no logits
     tables = [pd.DataFrame()]

@@ -29,7 +29,6 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from animarl_algos.data.vec_env import MixedMeansWarning, SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import summarise_error
-from animarl_algos.learner.collecting import Exploration
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.settings import default_settings
 from animarl_algos.networks.acting_rule import Kind
@@ -114,7 +113,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         # A trained agent brings what the preset leaves open; a new one takes it from the files.
         whole = default_settings() | deepcopy(settings)
         network = whole["policy_kwargs"] or {}
-        samples = whole["exploration"] == Exploration.BOLTZMANN or "temperature" in network
+        samples = whole["exploration"] == "boltzmann" or "temperature" in network
         self.deterministic_eval = self.deterministic_eval and not samples
 
         def sample(trial: optuna.Trial, *_: Any) -> dict[str, Any]:
@@ -198,7 +197,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         A policy that samples is scored as it acts.
         """
         assert isinstance(model, SequenceQLearning)
-        fitted = model.exploration == Exploration.BOLTZMANN  # once the offline phase is over
+        fitted = model.exploration == "boltzmann"  # once the offline phase is over
         samples = fitted or model.policy.acting.kind is Kind.BOLTZMANN
         for callback in self.callbacks:
             if isinstance(callback, EvalCallback):

@@ -16,13 +16,18 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.learner import algorithm
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
-from animarl_algos.learner.collecting import boltzmann_nll, fit_boltzmann_temperature
-from animarl_algos.learner.pretraining import Pretraining, demonstrated_rank
+from animarl_algos.learner.pretraining import (
+    Pretraining,
+    boltzmann_nll,
+    demonstrated_rank,
+    fit_boltzmann_temperature,
+)
 from animarl_algos.learner.settings import OfflineSettings
-from animarl_algos.learner.updates import AS_MANY_AS_STEPS, Updater, UpdateSchedule
+from animarl_algos.learner.updates import AS_MANY_AS_STEPS, UpdateSchedule
 from animarl_algos.recipes.registry import DQN, SoftBC
 
 EPISODES = TrainFreq(2, TrainFrequencyUnit.EPISODE)
@@ -88,20 +93,27 @@ def test_each_step_is_taken_with_the_epsilon_that_is_due_before_it(
     assert epsilons == pytest.approx([max(0.3, 0.5 - 0.2 * step / 100) for step in steps])
 
 
-def test_losses_are_averaged_over_the_updates_since_the_last_look() -> None:
-    model = make_pair_learner("dqdil", updates_per_episode=0.0).learn(200)
-    updater, phase = Updater(model.policy, model.recipe.online), model.phase("online")
-    assert updater.means() == {}
-    before, summed = weights(model), []
+def test_losses_are_averaged_over_the_updates_since_the_last_log(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, made = make_pair_learner("dqdil", updates_per_episode=0.0).learn(200), []
+    update, logged = algorithm.update, model.logger.name_to_value
+
+    def watched(*given: Any, **options: Any) -> Any:
+        made.append(update(*given, **options))
+        return made[-1]
+
+    monkeypatch.setattr(algorithm, "update", watched)
+    before = weights(model)
     for updates in (1, 3):
-        updater.run(model.replay_buffer, updates, 4, phase, 0.5)  # type: ignore[arg-type]
-        summed.append({name: total.clone() for name, total in updater.totals.items()})
+        model.train(updates, 4)
     assert not torch.equal(before, weights(model))
-    means = updater.means()
-    for name, total in summed[1].items():
-        assert means[name] == pytest.approx((total / 4).tolist())
-        assert (total > summed[0][name]).all()
-    assert updater.means() == {}
+    for name in ("td", "l2"):
+        losses = torch.stack([losses[name] for losses, _ in made])
+        means = [logged[f"train/{name}/{who}"] for who in model.layout.individuals]
+        assert len(losses) == 4 and means == pytest.approx(losses.mean(0).tolist())
+    model.dump_logs()
+    assert not logged
 
 
 def test_updates_before_learning_starts_are_forfeited() -> None:
