@@ -86,8 +86,7 @@ class NetworkSettings(Checked):
 class QOutput:
     """What a network says about a batch of sequences; zero where the packing computed nothing.
 
-    A quantile network's values are known by the head's hidden units: of its many outputs few are
-    asked for.
+    Values are computed when asked for: of a quantile network's many outputs few are.
     """
 
     features: torch.Tensor  # (K, row, H), what the heads see: hidden states, or encoded inputs
@@ -96,16 +95,16 @@ class QOutput:
     recurrent: bool  # whether the features are states
     num_actions: int
     treatment_logits: torch.Tensor | None  # (K, T, B), of treatment 1, through gradient reversal
-    known: torch.Tensor | None  # (K, row, A, Q), the values, where they are computed already
-    # else the head's units (K, row, 2H), and weight and bias from them to the values
-    head: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
+    # the head's units (K, row, 2H), and weight and bias from them to the values
+    head: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+    @property
+    def _quantiles(self) -> int:
+        return self.head[1].shape[-1] // self.num_actions
 
     @cached_property
     def _values(self) -> torch.Tensor:
         """Quantiles of all action values, (K, row, actions, quantiles)."""
-        if self.head is None:
-            assert self.known is not None
-            return self.known
         units, weight, bias = self.head
         return self._per_action(torch.baddbmm(bias, units, weight))
 
@@ -123,19 +122,17 @@ class QOutput:
     @cached_property
     def q_values(self) -> torch.Tensor:
         """Expected values of all actions, (K, T, B, actions)."""
-        if self.head is not None:
-            weight, bias = (self._per_action(each).mean(-1) for each in self.head[1:])
-            return self.packing.unpack(torch.baddbmm(bias, self.head[0], weight))
-        one = self._values.shape[-1] == 1
-        return self.packing.unpack(self._values.squeeze(-1) if one else self._values.mean(-1))
+        if self._quantiles == 1:
+            return self.packing.unpack(self._values.squeeze(-1))
+        weight, bias = (self._per_action(each).mean(-1) for each in self.head[1:])
+        return self.packing.unpack(torch.baddbmm(bias, self.head[0], weight))
 
     def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Quantiles of one action's value at each step: (K, T, B) to (K, T, B, quantiles)."""
         packed = self.packing.pack(actions)
-        if self.head is None or not runs_compiled(self.features):
+        if self._quantiles == 1 or not runs_compiled(self.features):
             return self.packing.unpack(take_action(self._values, packed))
-        quantiles = self.head[1].shape[-1] // self.num_actions
-        return self.packing.unpack(chosen_values(*self.head, packed, quantiles))
+        return self.packing.unpack(chosen_values(*self.head, packed, self._quantiles))
 
     @property
     def hidden(self) -> torch.Tensor:
@@ -316,7 +313,6 @@ class StackedQNetwork(nn.Module):
         observed, limit = packing.pack(observations), self.input_limit
         observed = torch.clamp((observed - self.input_mean) / self.input_sd, -limit, limit)
         previous = packing.pack(previous_actions)
-        known, head = None, None
         features = seen = self._encode(observed, previous, packing, masks)
         if self.gru is not None:
             encoded, features = seen, self.gru(seen, state, packing)
@@ -325,18 +321,12 @@ class StackedQNetwork(nn.Module):
                 seen = features * packing.repeat_per_row(masks[self.depth])
             if self.skip:
                 seen = torch.cat((encoded, seen), dim=-1)
-        weight, bias = self.dueling.combined()
         units = self.dueling.units(self._with_flag(seen, observed))
-        if self.num_quantiles > 1:
-            head = (units, weight, bias)
-        else:
-            known = torch.baddbmm(bias, units, weight).unsqueeze(-1)
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
-        return QOutput(
-            *(features, state, packing, self.recurrent, self.num_actions, logits, known, head)
-        )
+        head = (units, *self.dueling.combined())
+        return QOutput(features, state, packing, self.recurrent, self.num_actions, logits, head)
 
     @cached_property
     def weights(self) -> WeightViews:
