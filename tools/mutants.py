@@ -50,7 +50,7 @@ TARGETS = {
     "animarl_envs/dtw.py": ("test_dtw_rows.py",),
     "animarl_algos/losses/terms.py": ("test_losses.py",),
     "animarl_algos/losses/values.py": ("test_losses.py",),
-    "animarl_algos/replay/sequence_kernels.py": ("test_sequence_buffer.py",),
+    "animarl_algos/replay/sum_trees.py": ("test_sequence_buffer.py",),
     "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
 }
 

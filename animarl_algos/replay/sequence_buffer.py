@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from animarl_algos.checked import Checked
-from animarl_algos.replay import sequence_kernels as kernels
 from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
+from animarl_algos.replay.sum_trees import SumTrees, draw_stratified
 from animarl_envs.errors import InputError
 
 
@@ -33,6 +33,7 @@ class StateMode(enum.StrEnum):
 
 
 BETA = (0.4, 1.0)  # exponent of the importance weights at the start of training and at its end
+PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
 
 
 class ReplaySettings(Checked):
@@ -98,6 +99,8 @@ _SETTINGS = (
     "stride", "burn_in", "state_size", "prioritized", "max_episodes",
 )  # fmt: skip
 """What must be equal for a saved state to fit a memory."""
+_CURSOR = ("oldest_serial", "next_serial", "next_row", "rows_used", "num_episodes")
+"""Where the ring stands, as a saved state has it."""
 
 
 class SequenceReplayBuffer:
@@ -170,17 +173,21 @@ class SequenceReplayBuffer:
         # An episode of T steps takes T + 1 rows and ceil(T / stride) slots.
         slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
         try:
-            self.trees = kernels.SumTrees(num_individuals, slots if prioritized else 0)
-            frames = Frames.zeros(buffer_size, num_individuals, observation_dim)
-            sequences = Sequences.zeros(slots, num_individuals, self.state_size)
+            self.frames = Frames.zeros(buffer_size, num_individuals, observation_dim)
+            self.sequences = Sequences.zeros(slots, num_individuals, self.state_size)
+            self.trees = SumTrees(num_individuals, slots if prioritized else 0)
         except MemoryError:
             raise InputError(
                 f"buffer_size {buffer_size} does not fit the memory: lower it"
             ) from None
-        cursor, largest = np.zeros(5, dtype=np.int64), np.ones(num_individuals)
-        self.ring = kernels.Ring(frames, sequences, cursor, self.trees.nodes, largest)
-        ring = (*self.ring.frames, *self.ring.sequences, self.ring.trees)
-        check_memory(ring, f"buffer_size {buffer_size}")
+        check_memory(
+            (*self.frames, *self.sequences, self.trees.nodes), f"buffer_size {buffer_size}"
+        )
+        # Sequences are numbered by a serial number that never repeats; the slot is that modulo the
+        # number of slots, so that a number still says whether its sequence has been evicted.
+        self.oldest_serial = self.next_serial = self.next_row = self.rows_used = 0
+        self.num_episodes = 0  # finished ones in the ring
+        self.max_priority = np.ones(num_individuals)  # so far, before the exponent
         self.streams = np.empty(num_individuals, dtype=np.uint64)
         for k, name in enumerate(self.names):
             root = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
@@ -192,12 +199,7 @@ class SequenceReplayBuffer:
     @property
     def num_sequences(self) -> int:
         """Sequences that can be drawn."""
-        return int(self.ring.cursor[kernels.NEXT] - self.ring.cursor[kernels.OLDEST])
-
-    @property
-    def num_episodes(self) -> int:
-        """Finished episodes in the ring."""
-        return int(self.ring.cursor[kernels.EPISODES])
+        return self.next_serial - self.oldest_serial
 
     def size(self) -> int:
         """Steps of the world in the ring, under stable-baselines3's name for it."""
@@ -206,21 +208,25 @@ class SequenceReplayBuffer:
     @property
     def num_steps(self) -> int:
         """Steps of the world in the ring."""
-        return int(self.ring.cursor[kernels.ROWS_USED]) - self.num_episodes
+        return self.rows_used - self.num_episodes
 
     def moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Mean and standard deviation ``(K, n)`` of each individual's observations in the ring."""
-        rows = np.sort(self.ring.used_rows)
-        observed = self.ring.frames.observations[rows].astype(np.float64)
+        observed = self.frames.observations[np.sort(self._used_rows())].astype(np.float64)
         return observed.mean(0).astype(np.float32), observed.std(0).astype(np.float32)
 
     @property
     def nbytes(self) -> int:
         """Bytes of ring, sequences, priorities and staging area."""
-        ring, staging = self.ring, self.staging
-        arrays: list[Any] = [*ring.frames, *ring.sequences, ring.trees]
-        arrays += [*staging.frames, staging.state]
-        return sum(array.nbytes for array in arrays)
+        arrays: list[Any] = [*self.frames, *self.sequences, self.trees.nodes]
+        return sum(array.nbytes for array in (*arrays, *self.staged, self.staged_state))
+
+    def _used_rows(self) -> NDArray[np.int64]:
+        """Rows in use, from the oldest episode's first on."""
+        return np.arange(self.next_row - self.rows_used, self.next_row) % self.buffer_size
+
+    def _slots(self, serials: ArrayLike) -> NDArray[np.int64]:
+        return np.asarray(serials) % len(self.sequences.first)
 
     # -- adding -----------------------------------------------------------------------------------
 
@@ -243,8 +249,7 @@ class SequenceReplayBuffer:
 
         Raises InputError if an action does not fit, or an episode outgrows ``max_episode_steps``.
         """
-        staging, steps = self.staging, self.staging.step_count
-        actions = np.asarray(frames["actions"])
+        steps, actions = self.step_count, np.asarray(frames["actions"])
         if steps.max() == self.max_episode_steps:
             raise InputError(
                 f"copy {steps.argmax()} is past {self.max_episode_steps} steps "
@@ -255,18 +260,18 @@ class SequenceReplayBuffer:
                 f"actions run from {actions.min()} to {actions.max()}: they must lie in "
                 f"0 .. {self.num_actions - 1}"
             )
-        rows = staging.first_rows + steps
-        staging.frames.write(rows, frames)
+        rows = np.arange(self.num_copies) * (self.max_episode_steps + 1) + steps
+        self.staged.write(rows, frames)
         if self.state_size and hidden is not None:
             # Pieces whose first step, prefix included, is this one.
             begins = np.arange(0, self.max_episode_steps, self.stride) - self.burn_in
             copies, pieces = np.nonzero(steps[:, None] == np.maximum(begins, 0))
-            staging.state[copies, pieces] = hidden[copies]
+            self.staged_state[copies, pieces] = hidden[copies]
         steps += 1
         over = np.flatnonzero(terminated if truncated is None else terminated | truncated)
         if len(over):
             last = np.reshape(next_observations, (self.num_copies, -1))[over]
-            staging.frames.write(rows[over] + 1, {"observations": last})
+            self.staged.write(rows[over] + 1, {"observations": last})
         for copy in over.tolist():
             flag = 0.0 if condition is None else float(condition[copy])
             self._commit(copy, bool(terminated[copy]), flag)
@@ -278,24 +283,22 @@ class SequenceReplayBuffer:
         Its trained parts are [0, stride), [stride, 2 stride), ...; those of warm-up steps alone are
         left out, and so is an episode without any other.
         """
-        ring, staging, cursor = self.ring, self.staging, self.ring.cursor
-        steps, first = int(staging.step_count[copy]), staging.first_rows[copy]
+        steps, first = int(self.step_count[copy]), copy * (self.max_episode_steps + 1)
         begin = np.arange(0, steps, self.stride)
-        warming = staging.frames.warmup[first : first + steps]
+        warming = self.staged.warmup[first : first + steps]
         begin = begin[~np.logical_and.reduceat(warming, begin)]
         if not len(begin):
             return
-        num_slots = len(ring.sequences.first)
         while (
-            cursor[kernels.ROWS_USED] + steps + 1 > self.buffer_size
-            or self.num_sequences + len(begin) > num_slots
+            self.rows_used + steps + 1 > self.buffer_size
+            or self.num_sequences + len(begin) > len(self.sequences.first)
             or self.num_episodes >= self.max_episodes
         ):
             self._evict_oldest()
-        rows = (cursor[kernels.NEXT_ROW] + np.arange(steps + 1)) % self.buffer_size
-        staged = staging.frames._asdict().items()
-        ring.frames.write(rows, {name: of[first : first + steps + 1] for name, of in staged})
-        slots = (cursor[kernels.NEXT] + np.arange(len(begin))) % num_slots
+        rows = (self.next_row + np.arange(steps + 1)) % self.buffer_size
+        staged = self.staged._asdict().items()
+        self.frames.write(rows, {name: of[first : first + steps + 1] for name, of in staged})
+        slots = self._slots(self.next_serial + np.arange(len(begin)))
         prefix, end = np.minimum(self.burn_in, begin), np.minimum(begin + self.stride, steps)
         episode = {
             "first": rows[begin - prefix],
@@ -305,32 +308,30 @@ class SequenceReplayBuffer:
             "terminated": terminated & (end == steps),
             "condition": condition,
             "frames": np.where(begin == begin[-1], steps + 1, 0),
-            "initial_state": staging.state[copy, begin // self.stride],
+            "initial_state": self.staged_state[copy, begin // self.stride],
         }
-        for name, held in ring.sequences._asdict().items():
+        for name, held in self.sequences._asdict().items():
             held[slots] = episode[name]
         if self.prioritized:
-            new = [largest**self.settings.alpha for largest in ring.max_priority]
-            kernels.set_leaves(ring.trees, slots, np.array(new))
-        cursor[kernels.NEXT] += len(begin)
-        cursor[kernels.NEXT_ROW] = (rows[-1] + 1) % self.buffer_size
-        cursor[kernels.ROWS_USED] += steps + 1
-        cursor[kernels.EPISODES] += 1
+            self.trees.set(slots, self.max_priority[:, None], self.settings.alpha)
+        self.next_serial += len(begin)
+        self.next_row = int(rows[-1] + 1) % self.buffer_size
+        self.rows_used += steps + 1
+        self.num_episodes += 1
 
     def _evict_oldest(self) -> None:
         """Forget the oldest episode with all its sequences."""
-        ring, cursor, most = self.ring, self.ring.cursor, self.staging.state.shape[1]
-        slots = (cursor[kernels.OLDEST] + np.arange(most)) % len(ring.sequences.first)
-        episode = slots[: np.flatnonzero(ring.sequences.frames[slots])[0] + 1]
+        slots = self._slots(self.oldest_serial + np.arange(self.staged_state.shape[1]))
+        episode = slots[: np.flatnonzero(self.sequences.frames[slots])[0] + 1]
         if self.prioritized:
-            kernels.set_leaves(ring.trees, episode, np.zeros(self.num_individuals))
-        cursor[kernels.OLDEST] += len(episode)
-        cursor[kernels.ROWS_USED] -= ring.sequences.frames[episode[-1]]
-        cursor[kernels.EPISODES] -= 1
+            self.trees.set(episode, 0.0)
+        self.oldest_serial += len(episode)
+        self.rows_used -= int(self.sequences.frames[episode[-1]])
+        self.num_episodes -= 1
 
     def drop_running(self) -> None:
         """Forget the unfinished episodes of all copies, as when every copy is reset."""
-        self.staging.step_count[:] = 0
+        self.step_count[:] = 0
 
     # -- drawing ----------------------------------------------------------------------------------
 
@@ -342,19 +343,31 @@ class SequenceReplayBuffer:
         """
         if self.num_sequences == 0:
             raise InputError("the replay memory holds no finished episode yet: collect one first")
-        shape = (self.num_individuals, batch_size)
-        serials, slots = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
-        weights = np.empty(shape, dtype=np.float32)
-        start, end = BETA
-        beta = start + min(max(progress, 0.0), 1.0) * (end - start)
-        kernels.choose(self.ring, self.streams, beta, serials, slots, weights)
+        shares = np.empty((self.num_individuals, batch_size))
+        draw_stratified(self.streams, shares)
+        if self.prioritized:
+            slots = self.trees.find(shares)
+        else:
+            place = (shares * self.num_sequences).astype(np.int64)
+            slots = self._slots(self.oldest_serial + np.minimum(place, self.num_sequences - 1))
+        order = np.argsort(-self.sequences.trained[slots], axis=1, kind="stable")
+        slots = np.take_along_axis(slots, order, axis=1)
         batch = gather(
-            *(self.ring.frames, self.ring.sequences, slots),
-            indices=serials,
+            *(self.frames, self.sequences, slots),
+            indices=self.oldest_serial + self._slots(slots - self.oldest_serial),
             num_actions=self.num_actions,
-            weights=weights,
+            weights=self._weights(slots, progress) if self.prioritized else None,
         )
         return batch if self.device.type == "cpu" else batch.to(self.device)
+
+    def _weights(self, slots: NDArray[np.int64], progress: float) -> NDArray[np.float32]:
+        """Return w_i = (N P(i))^-beta over the largest of its individual, P(i) = p_i / sum p."""
+        start, end = BETA
+        beta = start + min(max(progress, 0.0), 1.0) * (end - start)
+        priorities = np.take_along_axis(self.trees.priorities, slots, axis=1)
+        weights = (self.num_sequences * priorities / self.trees.nodes[:, 1:2]) ** -beta
+        scaled: NDArray[np.float64] = weights.astype(np.float32) / weights.max(1, keepdims=True)
+        return scaled.astype(np.float32)
 
     def update_priorities(self, indices: NDArray[np.int64], errors: ArrayLike) -> None:
         """Set the priorities of drawn sequences to ``(|error| + 1e-6) ** alpha``.
@@ -370,21 +383,32 @@ class SequenceReplayBuffer:
                 f"priority errors of shape {errors.shape} for sequences {indices.shape}: give one "
                 "finite number per sequence"
             )
-        kernels.update_priorities(self.ring, self.settings.alpha, indices, errors)
+        held = (self.oldest_serial <= indices) & (indices < self.next_serial)
+        priorities = np.abs(errors) + PRIORITY_FLOOR
+        largest = np.where(held, priorities, 0.0).max(axis=1)
+        self.max_priority = np.maximum(self.max_priority, largest)
+        self.trees.set(np.where(held, self._slots(indices), -1), priorities, self.settings.alpha)
 
     # -- saving ----------------------------------------------------------------------------------
 
     def _used(self) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
         """Arrays with the part of them that is in use, as the cursor and the step counts say."""
-        ring, each = self.ring, np.arange(self.num_individuals)
-        staged, running = self.staging.frames._asdict(), self.staging.used_rows
+        rows, slots = (
+            self._used_rows(),
+            self._slots(np.arange(self.oldest_serial, self.next_serial)),
+        )
+        first = np.arange(self.num_copies) * (self.max_episode_steps + 1)
+        each = np.arange(self.num_individuals)
+        running = np.concatenate([f + np.arange(n) for f, n in zip(first, self.step_count)])
         return {
             "streams": (self.streams, each),
-            "max_priority": (ring.max_priority, each),
-            "staged_state": (self.staging.state, np.arange(self.num_copies)),
-            **{f"ring_{n}": (a, ring.used_rows) for n, a in ring.frames._asdict().items()},
-            **{f"sequence_{n}": (a, ring.used_slots) for n, a in ring.sequences._asdict().items()},
-            **{f"staging_{name}": (array, running) for name, array in staged.items()},
+            "max_priority": (self.max_priority, each),
+            "staged_state": (self.staged_state, np.arange(self.num_copies)),
+            **{f"ring_{name}": (array, rows) for name, array in self.frames._asdict().items()},
+            **{f"sequence_{name}": (a, slots) for name, a in self.sequences._asdict().items()},
+            **{
+                f"staging_{name}": (array, running) for name, array in self.staged._asdict().items()
+            },
         }
 
     def state(self) -> dict[str, Any]:
@@ -392,11 +416,12 @@ class SequenceReplayBuffer:
 
         They are the used part of the ring and the running episodes.
         """
-        slots = self.ring.used_slots if self.prioritized else np.zeros(0, dtype=np.int64)
         state: dict[str, Any] = {name: getattr(self, name) for name in _SETTINGS}
-        state |= {"num_copies": self.num_copies, "cursor": self.ring.cursor.copy()}
-        state["priorities"] = self.trees.priorities[:, slots]
-        state["step_count"] = self.staging.step_count.copy()
+        state["num_copies"] = self.num_copies
+        state["cursor"] = np.array([getattr(self, name) for name in _CURSOR])
+        slots = self._slots(np.arange(self.oldest_serial, self.next_serial))
+        state["priorities"] = self.trees.priorities[:, slots if self.prioritized else []]
+        state["step_count"] = self.step_count.copy()
         return state | {name: array[part] for name, (array, part) in self._used().items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -410,13 +435,14 @@ class SequenceReplayBuffer:
                     f"{getattr(self, name)}: resume with the settings it was saved with"
                 )
         try:
-            self.ring.cursor[:] = state["cursor"]
+            vars(self).update(zip(_CURSOR, state["cursor"].tolist(), strict=True))
             self.allocate_staging(int(state["num_copies"]))
-            self.staging.step_count[:] = state["step_count"]
+            self.step_count[:] = state["step_count"]
             for name, (array, part) in self._used().items():
                 array[part] = state[name]
             if self.prioritized:
-                self.trees.restore(self.ring.used_slots, state["priorities"])
+                slots = self._slots(np.arange(self.oldest_serial, self.next_serial))
+                self.trees.restore(slots, state["priorities"])
         except InputError:
             raise
         except (KeyError, IndexError, TypeError, ValueError) as error:
@@ -431,10 +457,9 @@ class SequenceReplayBuffer:
         """Make room for the running episodes of so many copies, none of them begun."""
         k, steps = self.num_individuals, self.max_episode_steps
         self.num_copies, pieces = copies, math.ceil(steps / self.stride)
-        self.staging = kernels.Staging(
-            Frames.zeros(copies * (steps + 1), k, self.observation_dim),
-            step_count=np.zeros(copies, dtype=np.int64),
-            state=np.zeros((copies, pieces, k, self.state_size), dtype=np.float32),
-        )
-        arrays = (*self.staging.frames, self.staging.state)
+        self.staged = Frames.zeros(copies * (steps + 1), k, self.observation_dim)
+        self.step_count = np.zeros(copies, dtype=np.int64)
+        # The recurrent state before each piece.
+        self.staged_state = np.zeros((copies, pieces, k, self.state_size), dtype=np.float32)
+        arrays = (*self.staged, self.staged_state)
         check_memory(arrays, f"{copies} copies of max_episode_steps {steps}")

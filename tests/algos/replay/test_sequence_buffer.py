@@ -15,8 +15,8 @@ from scipy import stats
 
 from animarl_algos.replay import sequence_buffer
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.replay.sequence_kernels import SumTrees, find_leaf, set_leaf
 from animarl_algos.replay.store import SequenceBatch
+from animarl_algos.replay.sum_trees import SumTrees, find_leaf
 from animarl_envs.errors import InputError
 
 NUM_ACTIONS = 5
@@ -217,7 +217,7 @@ def test_no_more_episodes_are_kept_than_asked_for() -> None:
     capped = fill(make_buffer(stream, 200, max_episodes=3, seed=1), stream)
     whole = fill(make_buffer(stream, 200, seed=1), stream)
     assert whole.num_episodes > capped.num_episodes == 3
-    frames = whole.ring.sequences.frames[: whole.num_sequences]
+    frames = whole.sequences.frames[: whole.num_sequences]
     assert capped.num_steps == int(frames[-3:].sum()) - 3
     assert capped.sample(50).lengths.max() <= frames[-3:].max() - 1
 
@@ -280,17 +280,12 @@ def test_moments_are_those_of_the_episodes_that_are_held() -> None:
     np.testing.assert_allclose(sd, held.std(0), atol=1e-6)
 
 
-def set_leaves(trees: SumTrees, k: int, leaves: Any, values: Any) -> None:
-    for leaf, value in zip(leaves, values, strict=True):
-        set_leaf(trees.nodes, k, leaf, value)
-
-
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 12), st.floats(0, 1e6)), min_size=1, max_size=40))
 def test_the_sum_tree_keeps_its_sums(changes: list[tuple[int, float]]) -> None:
     trees, plain = SumTrees(1, 13), np.zeros(13)
     for leaf, value in changes:
-        set_leaves(trees, 0, [leaf], [value])
+        trees.set([leaf], value)
         plain[leaf] = value
     np.testing.assert_array_equal(trees.priorities[0], plain)
     np.testing.assert_allclose(trees.nodes[0, 1], plain.sum(), rtol=1e-12)
@@ -303,10 +298,10 @@ def test_the_sum_tree_keeps_its_sums(changes: list[tuple[int, float]]) -> None:
 def test_a_leaf_is_found_by_the_cumulative_priority() -> None:
     """By hand: shares end at 0.5, 0.5, 3.5 and 5; an end belongs to the next leaf that has any."""
     trees = SumTrees(2, 4)
-    set_leaves(trees, 1, [0, 1, 2, 3], [0.5, 0.0, 3.0, 1.5])
+    trees.set([[-1, -1, -1, -1], [0, 1, 2, 3]], [0.5, 0.0, 3.0, 1.5])
     found = {0.0: 0, 0.49: 0, 0.5: 2, 3.49: 2, 3.5: 3, 4.99: 3, 5.0: 3, 5.1: 3}
     assert {mass: find_leaf(trees.nodes, 1, mass) for mass in found} == found
-    set_leaves(trees, 1, [3], [0.0])
+    trees.set([[-1], [3]], 0.0)
     assert find_leaf(trees.nodes, 1, 3.6) == 2  # rounding never leads to a leaf without priority
 
 
@@ -351,13 +346,13 @@ def test_errors_of_evicted_sequences_change_nothing() -> None:
     before = buffer.trees.nodes.copy()
     buffer.update_priorities(old, np.full(old.shape, 50.0))
     np.testing.assert_array_equal(buffer.trees.nodes, before)
-    assert buffer.ring.max_priority.tolist() == [1.0]
+    assert buffer.max_priority.tolist() == [1.0]
 
 
 def test_memory_is_stated_and_only_its_used_part_is_saved(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = Stream(4, 2, 3, 9, seed=11)
     buffer = fill(make_buffer(stream, 60_000), stream, 30)
-    rows = buffer.ring.frames.observations.nbytes
+    rows = buffer.frames.observations.nbytes
     assert rows == 60_000 * 2 * 3 * 4 < buffer.nbytes
     assert sum(np.asarray(value).nbytes for value in buffer.state().values()) < 0.01 * rows
     monkeypatch.setattr(sequence_buffer, "available_memory", lambda: 10 * 2**20)

@@ -46,7 +46,7 @@ def test_the_replay_memory_holds_executed_actions() -> None:
     model = DQN("GruPolicy", env, seed=0, buffer_size=4000, learning_starts=10**6)
     model.learn(240)
     assert model.replay_buffer is not None
-    frames, shown = model.replay_buffer.ring.frames, env.scenario.demos
+    frames, shown = model.replay_buffer.frames, env.scenario.demos
     assert shown is not None
     held = {tuple(row) for row in frames.actions[frames.warmup].tolist()}
     assert held and held <= warm_up_rows(shown)
@@ -108,7 +108,7 @@ def test_a_learner_in_a_single_environment_holds_what_was_executed() -> None:
     model = DQN("GruPolicy", env, seed=0, buffer_size=4000, learning_starts=10**6, device="cpu")
     model.learn(NEWT.warmup)
     assert model.replay_buffer is not None
-    staged = model.replay_buffer.staging.frames.actions.ravel()[: NEWT.warmup]
+    staged = model.replay_buffer.staged.actions.ravel()[: NEWT.warmup]
     first = NEWTS.offsets[env.world.demo.item()]
     assert staged.tolist() == SHOWN[first : first + NEWT.warmup, 1].tolist()
 
