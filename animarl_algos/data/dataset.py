@@ -9,6 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 
+from animarl_algos.losses.terms import Recipe, ScoredActionsTemporalDifference
+from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
 from animarl_envs.errors import InputError
 from animarl_envs.worlds import Mirror
@@ -303,3 +305,47 @@ class OfflineDataset:
             seen = np.concatenate([seen, seen[..., self.mirror.order] * self.mirror.sign])
         mean, sd = seen.mean(axis=0), seen.std(axis=0)
         return torch.from_numpy(mean).float(), torch.from_numpy(sd).float()
+
+
+def check_demonstrations(data: Any, recipe: Recipe, network: StackedQNetwork, env: Any) -> None:
+    """Refuse demonstrations of other individuals, another observation or other actions."""
+    if not (hasattr(data, "train") and hasattr(data, "val")):
+        raise InputError(
+            f"demonstrations is a {type(data).__name__}: give Demonstrations, or an object with "
+            "the datasets train and val"
+        )
+    for name, dataset in (("training", data.train), ("validation", data.val)):
+        batch = next(iter(dataset.batches(1)), None)
+        if batch is None:
+            raise InputError(
+                f"the {name} split holds no demonstrated episode: split the data again"
+            )
+        mine = (len(network.individuals), network.input_mean.shape[-1])
+        theirs = (batch.num_individuals, batch.observations.shape[-1])
+        if mine != theirs:
+            raise InputError(
+                f"the {name} demonstrations have {theirs[0]} individuals with {theirs[1]} "
+                f"observation components, the environment {mine[0]} with {mine[1]}: make them for "
+                "this environment, or ask gym.make for observation='full' and recorded=True"
+            )
+        known = getattr(dataset, "individuals", None)  # of this package's datasets, if named
+        placed = getattr(env, "individuals", None)  # of a VecEnv of slots
+        if isinstance(known, tuple) and placed is not None and known != tuple(placed):
+            raise InputError(
+                f"the {name} demonstrations are of {', '.join(known)}, the environment's "
+                f"individuals are {', '.join(network.individuals)}: make them for this environment"
+            )
+        scored = batch.action_penalties
+        highest = int(batch.actions.max()) if scored is None else scored.shape[-1] - 1
+        if highest >= network.num_actions:
+            raise InputError(
+                f"the {name} demonstrations hold action {highest}, the environment has "
+                f"{network.num_actions}: make them for this environment"
+            )
+        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in recipe.offline)
+        if scores and scored is None:
+            raise InputError(
+                f"the {name} demonstrations carry no penalties of all actions, which "
+                f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
+                "their species"
+            )

@@ -18,6 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, is_vecenv_wrapped
 
 from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
+from animarl_algos.losses.terms import Recipe
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
@@ -347,6 +348,35 @@ class SlotLayout:
         return cls(num_copies, individuals, bool(declared(env, "condition_flag")), known)
 
 
+def check_observation(space: gym.Space[Any]) -> None:
+    """Refuse an observation that is no array of numbers."""
+    if not isinstance(space, gym.spaces.Box):
+        raise InputError(
+            f"observations are {type(space).__name__} and the networks take numbers in a Box: wrap "
+            "the environment in gymnasium.wrappers.FlattenObservation"
+        )
+
+
+def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) -> None:
+    """Refuse an environment that does not give what a recipe learns from."""
+    given = declared(env, "feedback") or ()
+    for needed, name, words in (
+        (recipe.needs_distance, "dtw_penalty", "the distance to a demonstration"),
+        (recipe.needs_alignment, "aligned_action", "aligned demonstrated actions"),
+    ):
+        if needed and name not in given:
+            raise InputError(
+                f"recipe {recipe.name} needs {words} and the environment declares none ({name!r} "
+                "in its attribute feedback): learn in a SlotVecEnv with demonstrations, or wrap a "
+                "single environment in the DTW reward"
+            )
+    if recipe.needs_condition and not layout.condition_flag:
+        raise InputError(
+            f"recipe {recipe.name} needs the condition flag as the last observation component and "
+            "the environment has none: wrap it in the condition-flag wrapper"
+        )
+
+
 def demonstrations_in(env: VecEnv, demos: Demonstrations, layout: SlotLayout) -> Any:
     """Return the splits of ``demos`` that training may see, in the terms of ``env``.
 
@@ -393,35 +423,23 @@ def declared(env: Any, name: str) -> Any:
     return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
 
 
-class Feedback:
-    """Per-slot values that accompany a step, as arrays ``(slots,)``.
+FEEDBACK = (
+    "task_reward", "dtw_penalty", "aligned_action", "warmup", "condition", "executed",
+)  # fmt: skip
+"""What may come with a step beside the reward, see :class:`SlotVecEnv`."""
 
-    Read from the array attribute ``extras`` of the VecEnv where it has one (fast), otherwise from
-    the per-slot ``infos``.
+
+def feedback_of(env: VecEnv, infos: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Return what came with the last step, ``(slots,)`` each, without what the environment lacks.
+
+    It is the attribute ``extras`` of the VecEnv where there is one (fast), otherwise in ``infos``.
+    Where a warm-up replays other actions than were asked for, they are ``executed``.
     """
-
-    def __init__(self, env: VecEnv) -> None:
-        self._env = env
-        self._has_extras = hasattr(env, "extras")
-        self._infos: list[dict[str, Any]] = []
-
-    def update(self, infos: list[dict[str, Any]]) -> None:
-        """Take in the ``infos`` of the step just done."""
-        self._infos = infos
-
-    def get(self, name: str) -> NDArray[Any] | None:
-        """The values called ``name`` of the last step, or None if the environment gives none."""
-        if self._has_extras:
-            found = self._env.extras.get(name)  # type: ignore[attr-defined]
-            return None if found is None else np.asarray(found).reshape(-1)
-        if name not in self._infos[0]:
-            return None
-        return np.array([info[name] for info in self._infos])
-
-    def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
-        """The actions ``(slots,)`` of the last step: a warm-up replays others than asked for."""
-        replayed = self.get("executed")
-        return actions if replayed is None else replayed
+    found = getattr(env, "extras", None)
+    if found is None:
+        shown = [name for name in FEEDBACK if name in infos[0]]
+        found = {name: [info[name] for info in infos] for name in shown}
+    return {name: np.asarray(found[name]).reshape(-1) for name in FEEDBACK if name in found}
 
 
 class MixedMeansWarning(UserWarning):

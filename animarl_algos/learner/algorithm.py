@@ -19,11 +19,10 @@ from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, 
 from stable_baselines3.common.utils import configure_logger, polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.data.vec_env import Feedback
+from animarl_algos.data.dataset import OfflineDataset, check_demonstrations
+from animarl_algos.data.vec_env import check_environment_supports, feedback_of
 from animarl_algos.learner.base import BaseLearner
 from animarl_algos.learner.callbacks import with_progress_bar
-from animarl_algos.learner.checks import check_demonstrations, check_environment_supports
 from animarl_algos.learner.pretraining import (
     DemonstratedValues,
     OfflineProgress,
@@ -174,7 +173,6 @@ class SequenceQLearning(BaseLearner):
             total_timesteps, callback, reset_num_timesteps, *rest
         )
         self._last_obs = np.array(self._last_obs)
-        self.feedback = Feedback(self.env)
         self.treatments_told: Any = 0  # apart, since the last log
         self._set_exploration()
         return total_timesteps, callback
@@ -229,10 +227,9 @@ class SequenceQLearning(BaseLearner):
             actions, (hidden, _) = self._choose_actions(learning_starts)
             new_obs, rewards, dones, infos = env.step(actions)
             new_obs = np.array(new_obs)  # an environment may overwrite its own
-            self.feedback.update(infos)
-            executed = self.feedback.executed(actions)
-            self._store_transition(replay_buffer, executed, new_obs, rewards, dones, infos)
-            previous = executed.astype(np.int64)
+            feedback = {"executed": actions} | feedback_of(env, infos)
+            self._store_step(replay_buffer, new_obs, rewards, dones, infos, feedback)
+            previous = feedback["executed"].astype(np.int64)
             # Episodes that begin have no memory and no previous action.
             hidden[dones], previous[dones] = 0.0, self.policy.num_actions
             self.memory = hidden, previous
@@ -260,14 +257,14 @@ class SequenceQLearning(BaseLearner):
         finally:
             self.policy.acting = rule
 
-    def _store_transition(
+    def _store_step(
         self,
-        replay_buffer: SequenceReplayBuffer,  # type: ignore[override]
-        buffer_action: NDArray[Any],
-        new_obs: NDArray[Any],  # type: ignore[override]
-        reward: NDArray[Any],
+        replay_buffer: SequenceReplayBuffer,
+        new_obs: NDArray[Any],
+        rewards: NDArray[Any],
         dones: NDArray[np.bool_],
         infos: list[dict[str, Any]],
+        feedback: dict[str, NDArray[Any]],
     ) -> None:
         """Store the step from the last observation, with the memory before it."""
         successors = new_obs.copy()  # where a slot is done, ``new_obs`` is the next episode's first
@@ -280,13 +277,11 @@ class SequenceQLearning(BaseLearner):
             shape = (layout.num_copies, layout.num_individuals, *np.shape(values)[1:])
             return None if values is None else np.reshape(values, shape)
 
-        names = ("task_reward", "dtw_penalty", "aligned_action", "warmup", "condition")
-        given = {name: by_copy(self.feedback.get(name)) for name in names}
         for name, needed in (
             ("dtw_penalty", recipe.needs_distance),
             ("aligned_action", recipe.needs_alignment),
         ):
-            if needed and given[name] is None:
+            if needed and name not in feedback:
                 raise InputError(f"the environment declares {name!r} and gave none with a step")
         done = by_copy(dones)[:, 0]
         if not (by_copy(dones) == done[:, None]).all():
@@ -297,18 +292,18 @@ class SequenceQLearning(BaseLearner):
         timed_out = by_copy([info.get("TimeLimit.truncated", False) for info in infos])
         truncated = done & timed_out[:, 0].astype(bool)
         seen = by_copy(np.asarray(self._last_obs).reshape(len(dones), -1))
-        task, warmup, condition = (given[n] for n in ("task_reward", "warmup", "condition"))
+        warmup, condition = (by_copy(feedback.get(name)) for name in ("warmup", "condition"))
         if condition is None and layout.condition_flag:
             condition = seen[..., -1]
         replay_buffer.add(
             observations=seen,
-            actions=by_copy(buffer_action),
-            rewards=by_copy(reward) if task is None else task,
+            actions=by_copy(feedback["executed"]),
+            rewards=by_copy(feedback.get("task_reward", rewards)),
             next_observations=by_copy(successors.reshape(len(dones), -1)),
             terminated=done & ~truncated,
             truncated=truncated,
-            penalties=given["dtw_penalty"],
-            labels=given["aligned_action"],
+            penalties=by_copy(feedback.get("dtw_penalty")),
+            labels=by_copy(feedback.get("aligned_action")),
             warmup=None if warmup is None else warmup[:, 0],
             hidden=by_copy(self.memory[0]),
             condition=None if condition is None else condition[:, 0],
@@ -342,7 +337,7 @@ class SequenceQLearning(BaseLearner):
         assert isinstance(frequency, TrainFreq)
         if schedule.needs_more_steps(frequency):
             return
-        schedule.schedule_updates(
+        updates = schedule.take_updates(
             frequency,
             copies=self.layout.num_copies,
             gradient_steps=self.gradient_steps,
@@ -350,7 +345,7 @@ class SequenceQLearning(BaseLearner):
         )
         if self.num_timesteps < self.learning_starts or buffer.num_sequences == 0:
             schedule.updates_due = 0.0
-        elif updates := schedule.take_due_updates():
+        elif updates:
             if self.standardise_inputs:
                 self._standardise(buffer)
             self.train(updates, self.batch_size)

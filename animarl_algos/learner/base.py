@@ -21,18 +21,14 @@ from animarl_algos.checked import SEED
 from animarl_algos.data.vec_env import (
     SlotLayout,
     SlotVecEnv,
+    check_environment_supports,
+    check_observation,
     demonstrations_in,
     refuse_other_actions,
     refuse_other_slots,
 )
 from animarl_algos.learner import checkpoint
 from animarl_algos.learner.callbacks import BoundaryCallback
-from animarl_algos.learner.checks import (
-    check_environment_supports,
-    check_observation,
-    check_setting_combinations,
-    translate_policy_kwargs,
-)
 from animarl_algos.learner.presets import (
     check_settings,
     constructor_settings,
@@ -44,10 +40,12 @@ from animarl_algos.learner.settings import (
     LearnerSettings,
     OfflineSettings,
     as_frequency,
+    check_setting_combinations,
     declared_limit,
     default_settings,
     longest_episode,
     settings_prose,
+    translate_policy_kwargs,
 )
 from animarl_algos.learner.updates import UpdateSchedule
 from animarl_algos.losses.terms import Phase, Recipe
@@ -66,7 +64,7 @@ TO_SB3 = (
 )  # fmt: skip
 """Settings that stable-baselines3's constructor takes and keeps."""
 NOT_IN_ZIP = (
-    "demonstrations", "boundary_hooks", "memory", "feedback", "treatments_told",
+    "demonstrations", "boundary_hooks", "memory", "treatments_told",
     "_last_obs", "_last_episode_starts", "_last_original_obs",
 )  # fmt: skip
 """What a loaded learner makes anew, beside what stable-baselines3 leaves out."""

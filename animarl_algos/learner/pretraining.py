@@ -172,13 +172,15 @@ class Pretraining:
             losses, _ = update(minibatch, terms, policy.optimizer)
             for name, loss in losses.items():
                 totals[name] = totals[name] + loss if name in totals else loss
-            if settings.weight_decay:
-                with torch.no_grad():
+            with torch.no_grad():
+                if settings.weight_decay:
                     share = rate * settings.weight_decay  # that is taken away of every weight
                     torch._foreach_mul_(list(policy.q_net.all_parameters), 1.0 - share)
-            if self.progress.average_weights is not None:
-                decay = min(settings.average, (2 + done) / (11 + done))
-                _follow(self.progress.average_weights, policy.q_net, decay)
+                if (average := self.progress.average_weights) is not None:
+                    decay = min(settings.average, (2 + done) / (11 + done))
+                    weights = dict(policy.q_net.named_parameters())
+                    followers = [average[name] for name in weights]
+                    torch._foreach_lerp_(followers, list(weights.values()), 1.0 - decay)
         row: Figures = {}
         for name, total in totals.items():
             row |= named_figures(f"train/{name}", individuals, (total / per_epoch).cpu().numpy())
@@ -266,13 +268,6 @@ def shown_progress(
 def few_or_count(names: list[str]) -> str:
     """Return the names, or of many how many they are."""
     return ", ".join(names) if len(names) <= FEW else f"{len(names)} individuals"
-
-
-@torch.no_grad()
-def _follow(average: Weights, network: StackedQNetwork, decay: float) -> None:
-    """Move the average of the weights towards the present ones."""
-    named = dict(network.named_parameters())
-    torch._foreach_lerp_([average[name] for name in named], list(named.values()), 1.0 - decay)
 
 
 # -- validation -----------------------------------------------------------------------------------

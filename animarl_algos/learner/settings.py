@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Annotated, Any, Literal, get_type_hints
 
@@ -20,13 +21,17 @@ from pydantic import (
     model_validator,
     with_config,
 )
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
 from typing_extensions import TypedDict
 
 from animarl_algos.checked import Checked, prose
+from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
+from animarl_algos.replay.sequence_buffer import StateMode
 from animarl_envs.checks import is_number
 from animarl_envs.errors import InputError
 
@@ -342,3 +347,101 @@ def declared_limit(env: VecEnv) -> int | None:
             return int(declared)
     limits = [spec.max_episode_steps for spec in env.get_attr("spec") if spec is not None]
     return max(map(int, limits)) if limits and all(limits) else None
+
+
+# -- what does not go together ---------------------------------------------------------------------
+
+
+def check_setting_combinations(
+    settings: Mapping[str, Any], recipe: Recipe, recurrent: bool, quantiles: bool
+) -> None:
+    """Refuse settings of a new learner of which one makes another useless.
+
+    ``recurrent`` says whether the policy has a memory, ``quantiles`` whether values are quantiles
+    of the return.
+    """
+    updates, epochs = settings["gradient_steps"], settings["offline_epochs"]
+    frequency = as_frequency(settings["train_freq"])
+    if updates == 0:
+        raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
+    if frequency.unit is TrainFrequencyUnit.EPISODE and updates != 1:
+        raise InputError(
+            f"gradient_steps is {updates} and train_freq counts episodes: "
+            "give updates_per_episode instead, or a train_freq in steps"
+        )
+    length, burn_in, n_steps = (settings[n] for n in ("sequence_length", "burn_in", "n_steps"))
+    forgetful = burn_in == 0 and settings["state_mode"] != StateMode.STORED
+    if recurrent and length == 1 and forgetful:
+        raise InputError(
+            "sequence_length is 1 and the policy has a memory, which learns nothing from "
+            "single steps: give longer pieces, a burn_in, state_mode 'stored', or MlpPolicy"
+        )
+    if length is not None and n_steps > length - burn_in:
+        raise InputError(
+            f"n_steps is {n_steps} and {length - burn_in} steps of a sequence are learned from: "
+            "give a longer sequence_length, or fewer n_steps"
+        )
+    given = settings["policy_kwargs"].get("n_quantiles")
+    if (given is not None) != quantiles:
+        raise InputError(
+            f"policy_kwargs: n_quantiles is {given!r}: only the learners on quantiles have it, and "
+            "they need it: choose another class"
+        )
+    if recipe.inverse and settings["exploration"] != "boltzmann":
+        raise InputError(
+            f"exploration is {settings['exploration']!r} and recipe {recipe.name} learns from "
+            "steps that its policy samples: set it to 'boltzmann'"
+        )
+    if epochs and not recipe.offline:
+        raise InputError(
+            f"recipe {recipe.name} learns without demonstrations: set offline_epochs to 0"
+        )
+    if not epochs and not recipe.online:
+        raise InputError(
+            f"recipe {recipe.name} learns from demonstrations alone: give offline_epochs"
+        )
+
+
+AS_IT_IS = {
+    "activation_fn": (
+        nn.ReLU, "hidden layers are rectified here, so give torch.nn.ReLU or leave it out",
+    ),
+    "features_extractor_class": (
+        FlattenExtractor,
+        "observations are flattened here, so give FlattenExtractor, leave it out, or put the "
+        "features into the observation with a wrapper",
+    ),
+    "features_extractor_kwargs": (None, "flattening takes none, so leave it out"),
+}  # fmt: skip
+"""Names of stable-baselines3 that may say what the networks do anyway, and why nothing else."""
+
+
+def translate_policy_kwargs(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table ``policy_kwargs`` without the names that only stable-baselines3 has.
+
+    ``net_arch=[64, 64]`` becomes ``hidden=64, depth=2``: the layers that encode an observation, as
+    many as are listed; the memory and the dueling head come on top. ``activation_fn=ReLU`` and
+    ``features_extractor_class=FlattenExtractor`` are what the networks do anyway.
+    """
+    table = dict(policy_kwargs)
+    layers = table.pop("net_arch", None)
+    if layers is not None:
+        both = [name for name in ("hidden", "depth") if name in table]
+        if both:
+            raise InputError(
+                f"policy_kwargs: net_arch and {both[0]} say the same thing: give hidden and depth, "
+                "or net_arch alone"
+            )
+        listed = isinstance(layers, list | tuple) and all(type(n) is int for n in layers)
+        if not listed or len(set(layers)) != 1:
+            raise InputError(
+                f"policy_kwargs: net_arch is {layers!r}: all hidden layers are of one width here, "
+                "so give a list such as [64, 64], or hidden=64 and depth=2"
+            )
+        table |= {"hidden": layers[0], "depth": len(layers)}
+    for name, (usual, why) in AS_IT_IS.items():
+        asked = table.pop(name, usual)
+        if asked is not usual and asked != {}:
+            shown = getattr(asked, "__name__", repr(asked))
+            raise InputError(f"policy_kwargs: {name} is {shown}: {why}")
+    return table

@@ -51,10 +51,10 @@ class UpdateSchedule:
         """Return whether more is to be collected before the next updates."""
         return should_collect_more_steps(frequency, self.steps, self.episodes)
 
-    def schedule_updates(
+    def take_updates(
         self, frequency: TrainFreq, *, copies: int, gradient_steps: int, updates_per_episode: float
-    ) -> None:
-        """Add the updates that a whole rollout asks for, and begin the next one."""
+    ) -> int:
+        """Return the updates that are due after a whole rollout, and begin the next one."""
         if frequency.unit is TrainFrequencyUnit.EPISODE:
             self.updates_due += updates_per_episode * self.episodes
         elif gradient_steps == AS_MANY_AS_STEPS:
@@ -62,9 +62,6 @@ class UpdateSchedule:
         else:
             self.updates_due += gradient_steps
         self.restart_rollout()
-
-    def take_due_updates(self) -> int:
-        """Return the number of whole updates that are due, and count them as made."""
         updates, self.updates_due = int(self.updates_due), self.updates_due % 1.0
         return updates
 

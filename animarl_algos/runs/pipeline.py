@@ -13,7 +13,7 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.recipe_choice import choose_recipe
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv, check_environment_supports
 from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
@@ -24,7 +24,6 @@ from animarl_algos.learner.checkpoint import (
     load_checkpoint,
     steps_done,
 )
-from animarl_algos.learner.checks import check_environment_supports
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe

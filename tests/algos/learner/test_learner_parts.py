@@ -38,8 +38,9 @@ def test_fractions_of_updates_are_kept_until_they_are_whole() -> None:
     schedule, made = UpdateSchedule(), []
     for _ in range(6):
         schedule.count_step(2)
-        schedule.schedule_updates(EPISODES, copies=4, gradient_steps=1, updates_per_episode=0.375)
-        made.append(schedule.take_due_updates())
+        made.append(
+            schedule.take_updates(EPISODES, copies=4, gradient_steps=1, updates_per_episode=0.375)
+        )
     assert made == [0, 1, 1, 1, 0, 1]  # of 0.75, 1.5, 2.25, 3, 3.75 and 4.5 in all
     assert schedule.updates_due == 0.5 and schedule.steps == 0
 
@@ -58,8 +59,8 @@ def test_a_rollout_lasts_until_enough_and_its_steps_are_paid_in_updates(
         assert schedule.needs_more_steps(EACH_THIRD)
         schedule.count_step(0)
     assert not schedule.needs_more_steps(EACH_THIRD)
-    schedule.schedule_updates(EACH_THIRD, copies=4, gradient_steps=asked, updates_per_episode=9.0)
-    assert schedule.take_due_updates() == updates
+    due = {"copies": 4, "gradient_steps": asked, "updates_per_episode": 9.0}
+    assert schedule.take_updates(EACH_THIRD, **due) == updates  # type: ignore[arg-type]
 
 
 def test_the_target_is_due_in_its_own_unit_and_the_rest_is_carried() -> None:
