@@ -44,13 +44,24 @@ class CompilationWarning(UserWarning):
     """Kernels are being compiled, which takes seconds, once on a machine."""
 
 
-class FirstCompilation(event.Listener):  # type: ignore[misc]
-    """Say once in a process that kernels are being compiled: a line, or in a log a warning."""
+class Compilations(event.Listener):  # type: ignore[misc]
+    """Say once in a process that kernels are being compiled: a line, or in a log a warning.
+
+    Python's collector of cycles waits meanwhile: it would find nothing.
+    """
 
     said = False
 
+    def __init__(self) -> None:
+        self._depth = 0
+        self._collects = False
+
     def on_start(self, of: Any) -> None:
-        """A compilation begins; kernels that are found on the disk begin none."""
+        """A compilation begins, perhaps within another; what is found on the disk begins none."""
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
         module = str(of.data["dispatcher"].py_func.__module__)  # None of what exec made
         if self.said or not module.startswith("animarl"):
             return
@@ -65,10 +76,13 @@ class FirstCompilation(event.Listener):  # type: ignore[misc]
             print(COMPILING, file=sys.stderr, flush=True)
 
     def on_end(self, of: Any) -> None:
-        """Nothing to say."""
+        """Go on with what it was a part of."""
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
+            gc.enable()
 
 
-event.register("numba:compile", FirstCompilation())  # type: ignore[no-untyped-call]
+event.register("numba:compile", Compilations())  # type: ignore[no-untyped-call]
 
 
 def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -155,30 +169,6 @@ class PartDispatcher(CPUDispatcher):  # type: ignore[misc]
         raise TypeError(
             f"{self.py_func.__name__} is a part of a kernel: mark it with jit to call it"
         )
-
-
-class CollectorPaused(event.Listener):  # type: ignore[misc]
-    """Let Python's collector of cycles wait while a kernel is compiled: it would find nothing."""
-
-    def __init__(self) -> None:
-        self._depth = 0
-        self._collects = False
-
-    def on_start(self, of: Any) -> None:
-        """A compilation begins, perhaps within another."""
-        if self._depth == 0:
-            self._collects = gc.isenabled()
-            gc.disable()
-        self._depth += 1
-
-    def on_end(self, of: Any) -> None:
-        """Go on with what it was a part of."""
-        self._depth -= 1
-        if self._depth == 0 and self._collects:
-            gc.enable()
-
-
-event.register("numba:compile", CollectorPaused())  # type: ignore[no-untyped-call]
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from animarl_algos.learner.callbacks import ProgressBar, with_progress_bar
 from animarl_algos.learner.checkpoint import steps_done
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_set import joined_rollouts, number_of_folds, trained_folds
-from animarl_envs.compiling import COMPILING, CompilationWarning, FirstCompilation
+from animarl_envs.compiling import COMPILING, Compilations, CompilationWarning
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
@@ -400,12 +400,14 @@ def test_a_first_compilation_says_so_once(
     """On a terminal, as a warning elsewhere, and as text where warnings are errors."""
     stream = Terminal(there)
     monkeypatch.setattr(sys, "stderr", stream)
-    listener = FirstCompilation()
+    listener = Compilations()
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter(warnings_are)
         for module in ("scipy.special", "animarl_envs.worlds.base", "animarl_envs.dtw"):
             function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
-            listener.on_start(SimpleNamespace(data={"dispatcher": function}))
+            begun = SimpleNamespace(data={"dispatcher": function})
+            listener.on_start(begun)
+            listener.on_end(begun)
     said = [str(one.message) for one in warned if one.category is CompilationWarning]
     as_warning = not there and warnings_are == "always"
     assert stream.getvalue().splitlines() == [COMPILING] * (not as_warning)
