@@ -10,11 +10,12 @@ where it has been going over the last second (:data:`COURSE`), or another rule t
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import ALONG, TO_NEAREST, TO_POINT, focus_rule
+from animarl_envs.checks import ALONG, TO_NEAREST, TO_POINT, FocusRule, focus_rule
 from animarl_envs.compiling import jit, part
 
 UPWIND = (-1.0, 0.0)
@@ -72,17 +73,53 @@ def aim(i, b, rule, position, course_x, course_y):  # type: ignore[no-untyped-de
     return FALLBACK[0], FALLBACK[1]
 
 
+class Foci(NamedTuple):
+    """What each individual's focus is, as kernels read it: see :func:`foci`."""
+
+    others: NDArray[np.bool_]  # (K, K), whose nearest it is
+    otherwise: NDArray[np.float64]  # (K, 2), the direction without any, or at distance zero
+    free: bool  # then each goes by the rule instead
+    rule: FocusRule
+    share: float  # of a step in a course
+
+
+def foci(roles: Sequence[str], dt: float = 1.0, rule: str = "course") -> Foci:
+    """Return the foci of individuals with ``roles``; of free ones by the words of a ``rule``."""
+    others, free = np.zeros((len(roles), len(roles)), dtype=bool), is_free(roles)
+    if "target" in roles:
+        others[:-1, -1] = others[-1, :-1] = True
+    otherwise = np.tile(UPWIND if "searcher" in roles else FALLBACK, (len(roles), 1))
+    words = rule if free else "course"
+    return Foci(others, otherwise, free, focus_rule(words), share_of(COURSE, dt))
+
+
+@part
+def face(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-def]
+    """The unit vector towards the focus of individual ``i``; ``own`` are :class:`Foci`."""
+    if own.free:
+        return aim(i, b, own.rule, position, course_x, course_y)
+    nearest, x, y = np.inf, own.otherwise[i, 0], own.otherwise[i, 1]
+    for j in range(position.shape[0]):
+        dx, dy = position[j, 0, b] - position[i, 0, b], position[j, 1, b] - position[i, 1, b]
+        apart = np.hypot(dx, dy)
+        if own.others[i, j] and apart < nearest:  # the first of equals
+            nearest = apart
+            x = dx / apart if apart > 0.0 else own.otherwise[i, 0]
+            y = dy / apart if apart > 0.0 else own.otherwise[i, 1]
+    return x, y
+
+
 @jit
-def _aim_frames(rule, position, course, steps, share, towards):  # type: ignore[no-untyped-def]
-    """Focus of free animals in frames ``(K, 2, frames)``; ``course`` has their velocities."""
+def _face_frames(own, position, course, steps, towards):  # type: ignore[no-untyped-def]
+    """Focus in frames ``(K, 2, frames)``; ``course`` has velocities, and becomes their mean."""
     for i in range(position.shape[0]):
         for t in range(position.shape[2]):
             for x in range(2):
                 if steps[t] > 0:
                     before, now = course[i, x, t - 1], course[i, x, t]
-                    course[i, x, t] = averaged(before, now, share, steps[t])
-            towards[i, 0, t], towards[i, 1, t] = aim(
-                i, t, rule, position, course[i, 0, t], course[i, 1, t]
+                    course[i, x, t] = averaged(before, now, own.share, steps[t])
+            towards[i, 0, t], towards[i, 1, t] = face(
+                i, t, own, position, course[i, 0, t], course[i, 1, t]
             )
 
 
@@ -103,43 +140,17 @@ def focus_directions(
     Where the distance is zero the direction is ``FALLBACK``.
     """
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
-    out = np.empty_like(points)
-    if is_free(roles):
-        frames, since = points.reshape(-1, *points.shape[-2:]), steps
-        if velocities is None or since is None:
-            velocities, since = np.zeros_like(frames), np.zeros(len(frames), dtype=np.int64)
-        place, course = (
-            np.array(one.transpose(1, 2, 0), dtype=np.float64, order="C")
-            for one in (frames, velocities)
-        )
-        towards, since = np.empty_like(place), np.asarray(since, dtype=np.int64)
-        _aim_frames(focus_rule(rule), place, course, since, share_of(COURSE, dt), towards)
-        return np.ascontiguousarray(towards.transpose(2, 0, 1)).reshape(points.shape)
-    for i, candidates in enumerate(foci(roles)):
-        if not candidates:
-            out[..., i, :] = UPWIND if candidates is None else FALLBACK
-            continue
-        offset = points[..., candidates, :] - points[..., i, None, :]
-        distance = np.hypot(offset[..., 0], offset[..., 1])
-        nearest = np.argmin(distance, axis=-1)[..., None]  # the first of equals
-        apart = np.take_along_axis(distance, nearest, axis=-1)
-        towards = np.take_along_axis(offset, nearest[..., None], axis=-2)[..., 0, :]
-        out[..., i, :] = np.where(
-            apart > 0, towards / np.where(apart > 0, apart, 1.0), np.array(FALLBACK)
-        )
-    return out
-
-
-def foci(roles: Sequence[str]) -> list[list[int] | None]:
-    """Return, for each individual, those whose nearest is its focus; ``None`` for a searcher.
-
-    There are none for a free animal.
-    """
-    last = len(roles) - 1
-    one, many = [last], list(range(last))
-    if "target" in roles:
-        return [many if i == last else one for i in range(len(roles))]
-    return [None if "searcher" in roles else [] for _ in roles]
+    frames = points.reshape(-1, *points.shape[-2:])
+    if velocities is None or steps is None:
+        velocities, steps = np.zeros_like(frames), np.zeros(len(frames), dtype=np.int64)
+    place, course = (
+        np.array(one.transpose(1, 2, 0), dtype=np.float64, order="C")
+        for one in (frames, velocities)
+    )
+    towards = np.empty_like(place)
+    own, since = foci(roles, dt, rule), np.asarray(steps, dtype=np.int64)
+    _face_frames(own, place, course, since, towards)
+    return np.ascontiguousarray(towards.transpose(2, 0, 1)).reshape(points.shape)
 
 
 def first_pursuer(roles: Sequence[str]) -> int:

@@ -13,22 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES, Arena
-from animarl_envs.checks import focus_rule
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
-from animarl_envs.focus import (
-    COURSE,
-    FALLBACK,
-    UPWIND,
-    aim,
-    averaged,
-    foci,
-    focus_directions,
-    is_free,
-    share_of,
-)
+from animarl_envs.focus import averaged, face, foci, focus_directions
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
 
@@ -83,17 +72,15 @@ def track(
     )
     paths, speeds = np.empty_like(recorded), np.empty_like(velocity)
     actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
-    candidates, otherwise = _foci(demos.roles)
-    course = velocity_now.copy() if is_free(demos.roles) else np.zeros((0, 2, 0))
+    course, own_foci = velocity_now.copy(), foci(demos.roles, demos.dt, demos.focus_rule)
     damping = np.array([own.damping for own in locomotion])
     thrust = np.array([own.thrust for own in locomotion])
     pushes = np.stack([own.action_vectors for own in locomotion])
     which = np.ascontiguousarray(bodies, dtype=np.int64)
     for t in range(int(demos.lengths.max())):
         _follow(
-            t, starts, recorded, velocity, candidates, otherwise, which, damping, thrust, pushes,
-            demos.dt, float(horizon), position_now, velocity_now, paths, speeds, actions, course,
-            share_of(COURSE, demos.dt), focus_rule(demos.focus_rule),
+            t, starts, recorded, velocity, own_foci, which, damping, thrust, pushes, demos.dt,
+            float(horizon), position_now, velocity_now, paths, speeds, actions, course,
         )  # fmt: skip
         if arena.rebound:
             rebound(field, position_now, velocity_now)
@@ -162,30 +149,14 @@ def _check(demos: Demonstrations, locomotion: Sequence[Locomotion]) -> None:
         )
 
 
-def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
-    """Return whose nearest is each individual's focus ``(K, K)``, and its direction without any.
-
-    The rules of :func:`animarl_envs.focus.focus_directions`, as the kernel reads them.
-    """
-    candidates = np.zeros((len(roles), len(roles)), dtype=bool)
-    otherwise = np.tile(FALLBACK, (len(roles), 1))
-    for i, others in enumerate(foci(roles)):
-        if others is None:
-            otherwise[i] = UPWIND
-        else:
-            candidates[i, others] = True
-    return candidates, otherwise
-
-
 @jit
 def _follow(  # type: ignore[no-untyped-def]
-    t, starts, recorded, recorded_velocity, candidates, otherwise, which, damping, thrust, pushes,
-    dt, horizon, position, velocity, paths, speeds, actions, course, share,
-    rule,
+    t, starts, recorded, recorded_velocity, own_foci, which, damping, thrust, pushes, dt, horizon,
+    position, velocity, paths, speeds, actions, course,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
-    ``course`` ``(K, 2, episodes)`` is where free animals have been going, else empty.
+    ``course`` ``(K, 2, episodes)`` is where they have been going.
     """
     K = position.shape[0]
     towards = np.empty((K, 2))
@@ -200,23 +171,11 @@ def _follow(  # type: ignore[no-untyped-def]
         if frame + 1 == starts[b + 1]:
             continue
         for i in range(K):  # all look before anyone moves
-            nearest = np.inf
-            towards[i] = otherwise[i]
-            if len(course):
-                for x in range(2):
-                    course[i, x, b] = averaged(course[i, x, b], velocity[i, x, b], share, t)
-                towards[i, 0], towards[i, 1] = aim(
-                    i, b, rule, position, course[i, 0, b], course[i, 1, b]
-                )
-                continue
-            for j in range(K):
-                dx = position[j, 0, b] - position[i, 0, b]
-                dy = position[j, 1, b] - position[i, 1, b]
-                distance = np.hypot(dx, dy)
-                if candidates[i, j] and distance < nearest:
-                    nearest = distance
-                    towards[i, 0] = dx / distance if distance > 0.0 else otherwise[i, 0]
-                    towards[i, 1] = dy / distance if distance > 0.0 else otherwise[i, 1]
+            for x in range(2):
+                course[i, x, b] = averaged(course[i, x, b], velocity[i, x, b], own_foci.share, t)
+            towards[i, 0], towards[i, 1] = face(
+                i, b, own_foci, position, course[i, 0, b], course[i, 1, b]
+            )
         for i in range(K):
             least, action, best_x, best_y = np.inf, 0, 0.0, 0.0
             own = which[frame, i]
