@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_number
+from animarl_envs.checks import check_options
 from animarl_envs.errors import InputError
 
 ArenaShape = Literal["square", "disc", "open"]
@@ -37,28 +37,19 @@ class Arena:
 
     shape: ArenaShape = "square"
     size: float = 1.0  # [arena unit]
-    boundary: float = 1.1  # [arena unit]
+    boundary: Annotated[float, "positive"] = 1.1  # [arena unit]
     rebound: bool = False
 
     def __post_init__(self) -> None:
-        if self.shape not in get_args(ArenaShape):
-            raise InputError(
-                f"arena shape {self.shape!r} is unknown: choose one of {', '.join(SHAPE_CODES)}"
-            )
-        if not (is_number(self.size) and math.isfinite(self.size) and self.size > 0):
-            raise InputError(f"arena size is {self.size!r}: it must be a positive number")
-        if not isinstance(self.rebound, bool):
-            raise InputError(f"rebound is {self.rebound!r}: choose True or False")
-        object.__setattr__(self, "size", float(self.size))
+        check_options(self, "arena ")
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
             object.__setattr__(self, "rebound", False)
-        elif not (is_number(self.boundary) and self.boundary >= self.size):
+        elif self.boundary < self.size:
             raise InputError(
                 f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
                 "choose a boundary at least as large as the size"
             )
-        object.__setattr__(self, "boundary", float(self.boundary))
 
     @property
     def edge(self) -> float:

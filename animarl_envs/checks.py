@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field, fields, is_dataclass
-from typing import Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from functools import cache
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -17,12 +18,38 @@ LONGEST_NAME = 200  # characters
 FORMULA = "=+-@"  # with which a spreadsheet begins to compute
 
 
+def is_number(value: object) -> bool:
+    """Python's or NumPy's; truth values are none."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def is_whole(value: object) -> bool:
+    """A whole number, Python's or NumPy's; truth values are none."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
 ALLOWED: dict[str, Callable[[float], bool]] = {
     "a number": lambda value: -math.inf < value < math.inf,
     "a positive number": lambda value: 0 < value < math.inf,
     "positive": lambda value: value > 0,  # infinity is
     "zero or positive": lambda value: 0 <= value < math.inf,
+    "from 0 to 1": lambda value: 0 <= value <= 1,
+    "from 0 to below 1": lambda value: 0 <= value < 1,
+    "above 0, at most 1": lambda value: 0 < value <= 1,
+    "from 0 to 90 degrees": lambda value: 0 <= value <= 90,
+    "above 0 and below pi": lambda value: 0 < value < math.pi,
+    "from -pi to below pi": lambda value: -math.pi <= value < math.pi,
+    "a whole number": is_whole,
+    "a whole number, 0 or more": lambda value: is_whole(value) and value >= 0,
+    "a whole number, 1 or more": lambda value: is_whole(value) and value >= 1,
 }
+USUAL = {float: "a positive number", int: "a whole number"}
+"""What a number must be whose field does not say it."""
+AnyNumber = Annotated[float, "a number"]
+ZeroOrPositive = Annotated[float, "zero or positive"]
+CountingNumber = Annotated[int, "a whole number, 1 or more"]
+ZeroOrMore = Annotated[int, "a whole number, 0 or more"]
+"""Types of fields that :func:`check_options` looks at; the texts are of :data:`ALLOWED`."""
 
 
 def option(default: Any, name: str, prose: str, allowed: str = "", unit: str = "") -> Any:
@@ -37,27 +64,34 @@ def option(default: Any, name: str, prose: str, allowed: str = "", unit: str = "
     return field(default=default, metadata=notes)
 
 
-def check_options(settings: Any) -> None:
-    """Refuse values of a dataclass's options that are not allowed, or none of the choices."""
-    hints = get_type_hints(type(settings))
+def check_options(settings: Any, whose: str = "") -> None:
+    """Refuse values of a dataclass that are not allowed, or none of the choices.
+
+    Fields with a choice, truth values and numbers are looked at; ``float`` alone is a positive one,
+    ``Annotated[float, text]`` what the text says. NumPy's numbers become Python's own, of which
+    kernels have compiled forms. ``whose`` is put before names in messages.
+    """
+    kind: Any = type(settings)
+    hints = _hints(kind)
     for one in fields(settings):
-        value, notes = getattr(settings, one.name), one.metadata
-        choices = get_args(hints[one.name]) if get_origin(hints[one.name]) is Literal else [value]
-        known = ", ".join(map(str, choices))
-        require(value in choices, f"{one.name} {value!r} is unknown: choose one of {known}")
-        if value is not None and (allowed := notes.get("allowed")):
-            said = f"{one.name} is {value}{notes['unit']}: it must be {allowed}"
-            require(ALLOWED[allowed](value), said)
+        name, value, hint = whose + one.name, getattr(settings, one.name), hints[one.name]
+        hint, usual = get_args(hint) if get_origin(hint) is Annotated else (hint, USUAL.get(hint))
+        allowed = one.metadata.get("allowed") or usual
+        if get_origin(hint) is Literal:
+            known = ", ".join(map(str, get_args(hint)))
+            require(value in get_args(hint), f"{name} {value!r} is unknown: choose one of {known}")
+        elif hint is bool:
+            require(isinstance(value, bool), f"{name} is {value!r}: choose True or False")
+        elif allowed and (value is not None or hint in USUAL):
+            said = f"{name} is {value!r}{one.metadata.get('unit', '')}: it must be {allowed}"
+            require(is_number(value) and ALLOWED[allowed](value), said)
+            if hint in USUAL:
+                object.__setattr__(settings, one.name, hint(value))
 
 
-def is_number(value: object) -> bool:
-    """Python's or NumPy's; truth values are none."""
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
-
-
-def is_whole(value: object) -> bool:
-    """A whole number, Python's or NumPy's; truth values are none."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+@cache
+def _hints(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
 
 
 def plain(value: Any) -> Any:

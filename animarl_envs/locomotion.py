@@ -17,12 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_number, is_whole
+from animarl_envs.checks import check_options, is_number, is_whole
 from animarl_envs.errors import InputError
 
 NUM_DIRECTIONS = 12
@@ -90,15 +90,12 @@ class Locomotion:
         Multiples of ``u`` that the individual chooses among, positive, the largest first.
     """
 
-    damping: float
+    damping: Annotated[float, "from 0 to 1"]
     thrust: float
     magnitudes: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.damping <= 1.0:
-            raise InputError(f"damping is {self.damping}: it must lie between 0 and 1")
-        if not 0.0 < self.thrust < math.inf:
-            raise InputError(f"thrust is {self.thrust}: it must be a positive number")
+        check_options(self)
         object.__setattr__(self, "magnitudes", _checked_magnitudes(self.magnitudes))
 
     @property

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_number, is_whole
+from animarl_envs.checks import ZeroOrMore, ZeroOrPositive, check_options, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError, also_list_options_of
@@ -65,30 +65,22 @@ class Scenario:
     condition: Condition = "demo"
     start: str | NDArray[np.float64] = "demo"
     drivers: tuple[str, ...]
-    observation_noise: float = 0.0
-    observation_delay: int = 0
+    observation_noise: ZeroOrPositive = 0.0
+    observation_delay: ZeroOrMore = 0
     split: str | None = None
 
     def __post_init__(self) -> None:
         names, demos = self.species.individuals, self.demos
         if isinstance(self.condition, bool) or self.condition not in (0, 1, "demo"):
             raise InputError(f"condition is {self.condition!r}: choose 0, 1 or 'demo'")
+        plainly = self.condition if self.condition == "demo" else int(self.condition)
+        object.__setattr__(self, "condition", plainly)  # of NumPy's kinds or of Python's
+        check_options(self)
         if self.condition == 1 and not self.species.conditions:
             raise InputError(
                 f"condition 1 is not defined for {self.species.name}, which has no conditions: "
                 "leave the option out"
             )
-        noise, late = self.observation_noise, self.observation_delay
-        if not (is_number(noise) and 0.0 <= noise < np.inf):
-            raise InputError(f"observation_noise is {noise!r}: it must be zero or positive")
-        if not is_whole(late) or late < 0:
-            raise InputError(
-                f"observation_delay is {late!r}: it must be a whole number of steps, zero or more"
-            )
-        plainly = self.condition if self.condition == "demo" else int(self.condition)
-        object.__setattr__(self, "condition", plainly)  # of NumPy's kinds or of Python's
-        object.__setattr__(self, "observation_noise", float(noise))
-        object.__setattr__(self, "observation_delay", int(late))
         object.__setattr__(self, "start", self._checked_start())
         if demos is not None and demos.individuals != names:
             raise InputError(

@@ -304,7 +304,9 @@ class Scaling:
         "Open arena: the file's units per arena unit; default: half the extent, 1 for a source.",
         "a positive number",
     )  # fmt: skip
-    boundary: float = option(1.1, "boundary", "Individuals beyond it are out, in arena units.")
+    boundary: float = option(
+        1.1, "boundary", "Individuals beyond it are out, in arena units.", "positive"
+    )
 
     def __post_init__(self) -> None:
         check_options(self)

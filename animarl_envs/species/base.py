@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import is_number, is_whole
+from animarl_envs.checks import (
+    AnyNumber,
+    CountingNumber,
+    ZeroOrMore,
+    ZeroOrPositive,
+    check_options,
+)
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species.traits import Traits
@@ -21,11 +26,6 @@ COMPACT = "compact"
 PLAIN_BODY = "animal"
 BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
 """Looks of an individual; :mod:`animarl_envs.drawing.palette` draws them."""
-
-
-def or_zero(default: float) -> Any:
-    """Return a field of a species that may be zero, unlike its other numbers."""
-    return field(default=default, metadata={"least": (0.0, "zero or positive")})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,11 +67,11 @@ class Species(ABC):
     arena: Arena
     contact_radius: float  # [arena unit]
     dt: float  # one decision step [s]
-    time_limit: int  # [steps]
-    warmup: int = 0  # steps replayed from the demonstration
+    time_limit: CountingNumber  # [steps]
+    warmup: ZeroOrMore = 0  # steps replayed from the demonstration
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
-    boundary_penalty: float = field(default=-10.0, metadata={"least": (-1e300, "a number")})
-    time_cost: float = or_zero(0.0)  # what a whole episode costs pursuer or searcher, in captures
+    boundary_penalty: AnyNumber = -10.0
+    time_cost: ZeroOrPositive = 0.0  # what a whole episode costs pursuer or searcher, in captures
     observation: str = "full"  # one of ``observations``; what is made by a name is "compact"
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     traits: Traits | None = None  # in which individuals differ; None: they are all alike
@@ -80,7 +80,7 @@ class Species(ABC):
     recording: Recording
     bodies: tuple[str, ...] = (PLAIN_BODY,)  # in pictures; a second one is the target's
     source: str = ""
-    version_history: tuple[str, ...] = field(default=("v0: first release",))
+    version_history: tuple[str, ...] = ("v0: first release",)
     reward_components = ("touch", "elapsed", "boundary")
 
     def __post_init__(self) -> None:
@@ -102,17 +102,11 @@ class Species(ABC):
                 f"the individuals have different numbers of thrust magnitudes ({listed}): give all "
                 "the same number"
             )
-        self._check_numbers()
-        if not is_whole(self.time_limit) or self.time_limit < 1:
+        check_options(self)
+        if self.warmup >= self.time_limit:
             raise InputError(
-                f"time_limit is {self.time_limit!r} steps: it must be a whole number, at least 1"
+                f"warmup is {self.warmup} steps: give fewer than the time limit, {self.time_limit}"
             )
-        if not is_whole(self.warmup) or not 0 <= self.warmup < self.time_limit:
-            raise InputError(
-                f"warmup is {self.warmup!r} steps: give a whole number between 0 and the time limit"
-            )
-        object.__setattr__(self, "time_limit", int(self.time_limit))
-        object.__setattr__(self, "warmup", int(self.warmup))
         given: Any = self.conditions
         named = isinstance(given, Sequence) and not isinstance(given, str)
         if not named or len(given) not in (0, 2):
@@ -182,23 +176,6 @@ class Species(ABC):
     def step_cost(self) -> float:
         """What each step costs a pursuer or searcher."""
         return self.time_cost / self.time_limit
-
-    def _check_numbers(self) -> None:
-        """Check fields by their type: ``bool``, and ``float``, which is finite and positive.
-
-        NumPy's numbers become Python's, of which the kernels have compiled forms.
-        """
-        for one in fields(self):
-            value, kind = getattr(self, one.name), getattr(one.type, "__name__", one.type)
-            if kind == "bool" and not isinstance(value, bool):
-                raise InputError(f"{one.name} is {value!r}: choose True or False")
-            if kind != "float":
-                continue
-            least, allowed = one.metadata.get("least", (None, "a positive number"))
-            low = is_number(value) and (value > 0 if least is None else value >= least)
-            if not (low and value < math.inf):
-                raise InputError(f"{one.name} is {value!r}: it must be {allowed}")
-            object.__setattr__(self, one.name, float(value))
 
 
 def checked_bodies(given: Any) -> tuple[str, ...]:

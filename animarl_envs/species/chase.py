@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from animarl_envs.checks import focus_rule, is_whole
+from animarl_envs.checks import ZeroOrMore, focus_rule
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, turnings_of
@@ -36,7 +36,7 @@ class ChaseSpecies(Species):
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
     free: bool = False  # nobody is pursued: each goes its own way, and contact ends nothing
-    neighbours: int = 4  # how many of the others a free animal sees, the nearest
+    neighbours: ZeroOrMore = 4  # how many of the others a free animal sees, the nearest
     focus: str = "course"  # what a free animal's x axis points at: see checks.focus_rule
     shoaling_reward: bool = (
         False  # pays a free animal for time within the contact radius of another
@@ -46,8 +46,6 @@ class ChaseSpecies(Species):
         super().__post_init__()
         if self.num_individuals < 2 and not self.free:
             raise InputError("a chase needs at least one pursuer and a target: name them both")
-        if not is_whole(self.neighbours) or self.neighbours < 0:
-            raise InputError(f"neighbours is {self.neighbours!r}: give a whole number, 0 or more")
         focus_rule(self.focus)
         if self.focus != "course" and not self.free:
             raise InputError(f"focus is {self.focus!r} but {self.goal} is pursued: leave it out")

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from animarl_envs.checks import is_number, is_whole
+from animarl_envs.checks import ZeroOrPositive, is_number, is_whole
 from animarl_envs.errors import InputError
-from animarl_envs.species.base import Species, or_zero
+from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, as_turning
 
 
@@ -31,16 +31,16 @@ class SearchSpecies(Species):
     start_distance: float = 0.3  # downwind of the source [arena unit]
     start_region: tuple[float, ...] = ()  # or anywhere: lowest and highest x, and highest |y|
     antenna_length: float = 0.013  # ahead of the body centre [arena unit]
-    antenna_angle: float = or_zero(19.0)  # to either side [deg]
-    antenna_radius: float = or_zero(0.0025)  # within which it senses the plume [arena unit]
+    antenna_angle: Annotated[float, "from 0 to 90 degrees"] = 19.0  # to either side [deg]
+    antenna_radius: ZeroOrPositive = 0.0025  # within which it senses the plume [arena unit]
     odour_decay: float = 1.96  # time constant after the last hit [s]
-    odour_baseline: float = or_zero(0.07)
+    odour_baseline: Annotated[float, "from 0 to below 1"] = 0.07
     trace_decay: float = 10.0  # time constant of the slow trace of hits [s]
-    flow_threshold: float = or_zero(0.1)  # yaw rates below it give no visual flow [rad/s]
+    flow_threshold: ZeroOrPositive = 0.1  # yaw rates below it give no visual flow [rad/s]
     flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
     senses_past: bool = False  # adds its turning and its way averaged over the last seconds
     turning: Turning | None = None  # of the body; None: it points where it walks
-    rest_speed: float = or_zero(1e-4)  # slower bodies keep their heading [arena unit / s]
+    rest_speed: ZeroOrPositive = 1e-4  # slower bodies keep their heading [arena unit / s]
     plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
     train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
     test_plumes: tuple[int, ...] = (3, 4)  # ... and held out
@@ -51,12 +51,6 @@ class SearchSpecies(Species):
             raise InputError(
                 f"arena is a {self.arena.shape} but a search is in the open: give a size to draw, "
                 "or Arena('open', size)"
-            )
-        if not self.odour_baseline < 1:
-            raise InputError(f"odour_baseline is {self.odour_baseline}: it must lie in [0, 1)")
-        if not self.antenna_angle <= 90:
-            raise InputError(
-                f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
             )
         object.__setattr__(self, "turning", as_turning(self.turning, "turning"))
         object.__setattr__(self, "start_region", self._checked_region())

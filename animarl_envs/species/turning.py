@@ -12,15 +12,14 @@ in the arena frame. The kernels' form is :func:`animarl_envs.kinematics.next_tur
 :mod:`animarl_envs.fitting.turning`.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_number
+from animarl_envs.checks import check_options
 from animarl_envs.errors import InputError
 
 
@@ -41,24 +40,13 @@ class Turning:
         Speed about which walking begins to turn the body in full [arena unit / s], positive.
     """
 
-    persistence: float
-    gain: float
-    slip: float
+    persistence: Annotated[float, "from 0 to below 1"]
+    gain: Annotated[float, "above 0 and below pi"]
+    slip: Annotated[float, "from -pi to below pi"]
     speed: float
 
     def __post_init__(self) -> None:
-        ranges = {
-            "persistence": (0.0, 1.0, ""), "gain": (0.0, math.pi, ", and not zero"),
-            "slip": (-math.pi, math.pi, ""), "speed": (0.0, math.inf, ", and not zero"),
-        }  # fmt: skip
-        for name, (low, high, positive) in ranges.items():
-            value = getattr(self, name)
-            if not is_number(value) or not low <= value < high or (value == 0 and positive):
-                raise InputError(
-                    f"{name} of turning is {value!r}: it must be a number from {low:.4g} to below "
-                    f"{high:.4g}{positive}"
-                )
-            object.__setattr__(self, name, float(value))
+        check_options(self, "turning's ")
 
     def next_turn(
         self,

@@ -33,6 +33,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import CountingNumber, ZeroOrPositive, check_options
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 
@@ -40,10 +41,6 @@ REACH = 3.0  # a filament is followed this many radii R from its centre
 TAIL = 3  # degrees of freedom of Student's t
 SHAPE = 3.0  # of the gamma distribution of release times: a quick rise and a longer tail
 LATEST = 2.0  # no filament is released later than this within its puff [s]
-POSITIVE = {
-    "puff_rate", "filaments_per_puff", "advection_speed", "initial_radius", "threshold", "extent",
-    "half_width", "cell", "frame_rate", "period", "meander_time",
-}  # fmt: skip
 SLOWEST = 0.2  # no filament travels slower than this share of the advection speed
 
 
@@ -55,17 +52,19 @@ class FilamentModel:
     """
 
     puff_rate: float  # [Hz]
-    release_duration: float  # mean of the gamma-distributed release times within a puff [s]
-    filaments_per_puff: int
+    release_duration: (
+        ZeroOrPositive  # mean of the gamma-distributed release times within a puff [s]
+    )
+    filaments_per_puff: CountingNumber
     advection_speed: float  # U [m/s]
-    speed_spread: float  # standard deviation of U_j / U [1]
-    source_spread: float  # scale of y0_j and z0_j [m]
-    direction_spread: float  # scale of v_j / U and w_j / U, a filament's own part [rad]
-    meander_spread: float  # standard deviation of the part that a puff shares [rad]
-    flatness: float  # z0_j and w_j are smaller than y0_j and v_j by this factor
+    speed_spread: ZeroOrPositive  # standard deviation of U_j / U [1]
+    source_spread: ZeroOrPositive  # scale of y0_j and z0_j [m]
+    direction_spread: ZeroOrPositive  # scale of v_j / U and w_j / U, a filament's own part [rad]
+    meander_spread: ZeroOrPositive  # standard deviation of the part that a puff shares [rad]
+    flatness: ZeroOrPositive  # z0_j and w_j are smaller than y0_j and v_j by this factor
     meander_time: float  # over which the shared part persists [s]
     initial_radius: float  # R_0 [m]
-    growth: float  # dR^2 / dt [m^2/s]
+    growth: ZeroOrPositive  # dR^2 / dt [m^2/s]
     threshold: float  # in units of the fresh filament's central concentration
     extent: float  # the plume is cut here, x [m]; the recorded fields ended there
     half_width: float  # ... and here, |y| [m]
@@ -74,13 +73,7 @@ class FilamentModel:
     period: float  # the sequence repeats after this time [s]
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"plume constant {name} is {value}: it must be a number, 0 or more"
-                )
-            if value == 0 and name in POSITIVE:
-                raise InputError(f"plume constant {name} is 0: it must be positive")
+        check_options(self, "plume constant ")
         if abs(self.period * self.puff_rate - self.num_puffs) > 1e-9:
             raise InputError(
                 f"plume period {self.period} s holds {self.period * self.puff_rate:g} puffs: "

@@ -25,6 +25,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.checks import AnyNumber, check_options
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError, require_extra
 from animarl_envs.worlds.plume.filaments import FilamentModel, paint
@@ -235,23 +236,17 @@ class MoviePlume(Plume):
     mm_per_pixel: float
     source_pixel: tuple[int, ...]
     frame_rate: float
-    threshold: float
+    threshold: AnyNumber
     num_patterns: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("mm_per_pixel", "frame_rate"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InputError(
-                    f"the plume movie's {name} is {getattr(self, name)}: it must be positive"
-                )
+        check_options(self, "the plume movie's ")
         whole = all(isinstance(v, int | np.integer) for v in self.source_pixel)
         if len(self.source_pixel) != 2 or not whole:
             raise InputError(
                 f"the plume movie's source_pixel is {self.source_pixel}: give (row, column) as "
                 "whole numbers"
             )
-        if math.isnan(self.threshold):
-            raise InputError("the plume movie's threshold is not a number: give a grey value")
 
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
         cell = self.mm_per_pixel * 1e-3

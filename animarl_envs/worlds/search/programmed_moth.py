@@ -19,10 +19,12 @@ e72001.
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import AnyNumber, ZeroOrPositive, check_options
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.species import SILKMOTH, SearchSpecies
@@ -47,27 +49,21 @@ class MothProgramme:
     yaw_rate: float = 1.94  # of zigzag and loop [rad / s]
     surge_speed: float = 0.0171  # [arena unit / s]
     turn_speed: float = 0.00821  # [arena unit / s]
-    careful: float = 0.417  # share of the surge's speed with the wind not from ahead
-    odour_turn: float = 1.01  # of the surge, towards the antenna that was hit [rad]
-    wind_turn: float = 0.0226  # of the surge, into the wind, per step [rad]
-    motor_noise: float = 0.187  # standard deviation of the angle turned, per step [rad]
-    slip: float = 0.00299  # standard deviation of each velocity component [arena unit / s]
-    pace_spread: float = 0.138  # of moths: standard deviation of the logarithm of their speed
-    pause_rate: float = 0.118  # how often a walking moth stops [1 / s]
-    pause: float = 1.39  # how long it then stands, on average [s]
+    careful: Annotated[float, "above 0, at most 1"] = (
+        0.417  # share of the surge's speed with the wind not from ahead
+    )
+    odour_turn: AnyNumber = 1.01  # of the surge, towards the antenna that was hit [rad]
+    wind_turn: AnyNumber = 0.0226  # of the surge, into the wind, per step [rad]
+    motor_noise: ZeroOrPositive = 0.187  # standard deviation of the angle turned, per step [rad]
+    slip: ZeroOrPositive = 0.00299  # standard deviation of each velocity component [arena unit / s]
+    pace_spread: ZeroOrPositive = 0.138  # of moths: standard deviation of their log speed
+    pause_rate: ZeroOrPositive = 0.118  # how often a walking moth stops [1 / s]
+    pause: ZeroOrPositive = 1.39  # how long it then stands, on average [s]
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            least = name in ("motor_noise", "slip", "pace_spread", "pause_rate", "pause")
-            if name == "turns":
-                if not all(0 < t < math.inf for t in value):
-                    raise InputError(f"turns are {value}: give positive durations in seconds")
-            elif name in ("careful", "odour_turn", "wind_turn"):
-                if name == "careful" and not 0 < value <= 1:
-                    raise InputError(f"careful is {value}: it must lie between 0 and 1")
-            elif not (value >= 0 if least else value > 0) or not value < math.inf:
-                allowed = "zero or positive" if least else "a positive number"
-                raise InputError(f"{name} is {value}: it must be {allowed}")
+        check_options(self)
+        if not all(0 < t < math.inf for t in self.turns):
+            raise InputError(f"turns are {self.turns}: give positive durations in seconds")
 
 
 @dataclass(eq=False)
