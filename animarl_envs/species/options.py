@@ -11,7 +11,7 @@ from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.species.base import Reading
 
-MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
+COUNTS = ("num_pursuers", "num_targets")
 """Options that set how many individuals of a role there are; of the other role there is one."""
 
 
@@ -28,16 +28,7 @@ def with_options(species: Species, **options: Any) -> Species:
     gets fixed multiples of its thrust (:func:`~animarl_envs.locomotion.fixed_multiples`). Others
     are fields of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """
-    counts = {key: options.pop(key, None) for key in MANY}
-    lone = options.get("lone_pursuer") is True
-    if isinstance(species, ChaseSpecies) and lone and not species.lone_pursuer:
-        species = _with_targets(species, species.num_individuals - 1)
-    if isinstance(species, ChaseSpecies) and options.pop("free", species.free):
-        species = _with_animals(species, options.pop("individuals", None), counts)
-    elif "individuals" in options:
-        species = _with_individuals(species, tuple(options.pop("individuals")), counts)
-    else:
-        species = _with_counts(species, counts)
+    species = _with_members(species, options)
     seen: Any = options.get("neighbours")
     animals = species.num_individuals
     fewer = is_whole(seen) and seen >= animals and seen != getattr(species, "neighbours", seen)
@@ -54,7 +45,7 @@ def with_options(species: Species, **options: Any) -> Species:
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
     for key in options:
         if key not in known:
-            more = {*MANY, "locomotion", "thrusts", "rebound", "boundary"}
+            more = {*COUNTS, "locomotion", "thrusts", "rebound", "boundary"}
             raise UnknownOptionError.of(key, species.name, known | more)
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
@@ -79,60 +70,58 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
     return changed
 
 
-def _with_animals(
-    species: ChaseSpecies, names: Sequence[str] | None, counts: Mapping[str, Any]
-) -> ChaseSpecies:
-    """Return the species with other animals, all alike, of whom nobody is pursued."""
-    if counts["num_targets"] is not None:
-        raise InputError(f"num_targets does not apply to {species.name}, which has none: drop it")
-    count = counts["num_pursuers"]
-    if count is not None and not (is_whole(count) and count >= 1):
-        raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
-    if names is None:
-        kind = species.individuals[0].rpartition("_")[0] or "animal"
-        number = species.num_individuals if count is None else int(count)
-        same = number == species.num_individuals
-        names = species.individuals if same else tuple(f"{kind}_{i}" for i in range(number))
-    chosen = [i % species.num_individuals for i in range(len(names))]
-    return species.of_individuals(chosen, tuple(names), free=True)
-
-
-def _with_individuals(
-    species: Species, names: tuple[str, ...], counts: Mapping[str, Any]
-) -> Species:
+def _with_members(species: Species, options: dict[str, Any]) -> Species:
+    """Return the species with other individuals, as those of ``options`` say that tell who."""
+    counts = {key: options.pop(key, None) for key in COUNTS}
+    names = tuple(options.pop("individuals")) if "individuals" in options else None
+    free = isinstance(species, ChaseSpecies) and bool(options.get("free", species.free))
     for key, count in counts.items():
-        if count is not None and count != len(names) - 1:
-            what = key.removeprefix("num_")
+        if count is None:
+            continue
+        if not isinstance(species, ChaseSpecies) or (free and key == "num_targets"):
+            raise InputError(f"{key} does not apply to {species.name}, which has none: drop it")
+        if not (is_whole(count) and count >= 1):
+            raise InputError(f"{key} is {count!r}: it must be a whole number, 1 or more")
+        if names is not None and count != len(names) - (not free):
             raise InputError(
-                f"{key} is {count!r} but individuals names {len(names) - 1} {what} and "
-                f"{MANY[key]}: give one of the two"
+                f"{key} is {count} but individuals names {', '.join(names)}: give one of the two"
             )
-    if len(names) != species.num_individuals:
-        if not isinstance(species, ChaseSpecies):
+    if not isinstance(species, ChaseSpecies):
+        if names is not None and len(names) != 1:
             raise InputError(
                 f"{species.name} has one individual but {len(names)} were given: {names}"
             )
-        species = _with_many(species, len(names) - 1)
-    return replace(species, individuals=names)
+        return species if names is None else replace(species, individuals=names)
+    if options.get("lone_pursuer") is True and not species.lone_pursuer:
+        species = _with_targets(species, species.num_individuals - 1)
+    pursuers, targets = counts.values()
+    if free:
+        return _with_animals(species, names, pursuers)
+    if names is not None:
+        resized = len(names) != species.num_individuals
+        species = _with_many(species, len(names) - 1) if resized else species
+        return replace(species, individuals=names)
+    if species.lone_pursuer or targets not in (None, 1):
+        if pursuers not in (None, 1):
+            raise InputError(
+                f"num_pursuers is {pursuers} but several targets have one pursuer: leave one of "
+                "num_pursuers and num_targets out"
+            )
+        return species if targets is None else _with_targets(species, int(targets))
+    return species if pursuers is None else _with_many(species, int(pursuers))
 
 
-def _with_counts(species: Species, counts: Mapping[str, Any]) -> Species:
-    for key, count in counts.items():
-        if count is not None and not isinstance(species, ChaseSpecies):
-            raise InputError(f"{key} does not apply to {species.name}, which has none: drop it")
-        if count is not None and not (is_whole(count) and count >= 1):
-            raise InputError(f"{key} is {count!r}: it must be a whole number, 1 or more")
-    pursuers, targets = counts["num_pursuers"], counts["num_targets"]
-    if not isinstance(species, ChaseSpecies) or (pursuers is None and targets is None):
-        return species
-    if not (species.lone_pursuer if targets in (None, 1) else True):
-        return species if pursuers is None else _with_many(species, int(pursuers))
-    if pursuers not in (None, 1):
-        raise InputError(
-            f"num_pursuers is {pursuers} but several targets have one pursuer: leave one of "
-            "num_pursuers and num_targets out"
-        )
-    return species if targets is None else _with_targets(species, int(targets))
+def _with_animals(
+    species: ChaseSpecies, names: tuple[str, ...] | None, count: int | None
+) -> ChaseSpecies:
+    """Return the species with other animals, all alike, of whom nobody is pursued."""
+    if names is None and count in (None, species.num_individuals):
+        names = species.individuals
+    elif names is None:
+        kind = species.individuals[0].rpartition("_")[0] or "animal"
+        names = tuple(f"{kind}_{i}" for i in range(int(count or 1)))
+    chosen = [i % species.num_individuals for i in range(len(names))]
+    return species.of_individuals(chosen, names, free=True)
 
 
 def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:

@@ -11,7 +11,7 @@ from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import AGENT
+from animarl_envs.species import AGENT, SHOAL, ChaseSpecies
 from animarl_envs.species.options import with_options
 
 
@@ -29,6 +29,15 @@ def test_pursuers_are_renamed_and_keep_their_locomotion() -> None:
     species = with_options(with_options(AGENT, locomotion=(slow, fast, prey)), num_pursuers=3)
     assert species.individuals == ("predator_0", "predator_1", "predator_2", "prey")
     assert species.locomotion == (slow, fast, slow, prey)
+
+
+def test_animals_that_nobody_pursues_are_as_many_as_named_or_become_a_chase() -> None:
+    named = ("a", "b", "c")
+    refuses("give one of the two", with_options, SHOAL, individuals=named, num_pursuers=5)
+    assert with_options(SHOAL, individuals=named, num_pursuers=3).individuals == named
+    chase = with_options(SHOAL, free=False)
+    assert isinstance(chase, ChaseSpecies)
+    assert not chase.free and chase.roles == ("pursuer",) * 11 + ("target",)
 
 
 def test_a_factor_scales_the_thrust_of_one_individual_only() -> None:
