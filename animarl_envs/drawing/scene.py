@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.summary import METRES, RECORDED_SCALE, Unit, ending_in_words, unit_of
+from animarl_envs.demos.summary import RECORDED_SCALE, Unit, ending_in_words, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.worlds.plume.plume import PlumeField
@@ -60,8 +60,9 @@ class SceneRecorder:
         self._trail: list[NDArray[np.float64]] = []
         self._glow: NDArray[np.float32] | None = None  # the plume, last drawn at this time [s]
         self._drawn = -np.inf
-        unit = RECORDED_SCALE if world.demos is None else unit_of(world.demos)
-        self._unit = METRES if hasattr(world, "plume") else unit
+        self.unit = RECORDED_SCALE if world.demos is None else unit_of(world.demos)
+        if hasattr(world, "plume"):
+            self.unit = Unit("m", world.scenario.species.metres_per_unit)
 
     def start(self) -> None:
         """Begin with the state after a reset; individuals at rest face their target."""
@@ -107,7 +108,7 @@ class SceneRecorder:
             rewards=self._returns.copy(),
             title=self.title,
             step=int(world.step_count[b]),
-            unit=self._unit,
+            unit=self.unit,
             **shown,
         )
 

@@ -25,6 +25,7 @@ from animarl_envs.species import AGENT, SILKMOTH, SPECIES
 from animarl_envs.species.base import BODIES as SPECIES_BODIES
 from animarl_envs.species.base import PLAIN_BODY, body_of_each
 from animarl_envs.species.options import with_options
+from animarl_envs.worlds import make_world
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 SIZE = 200
@@ -213,6 +214,11 @@ def test_scale_bar_has_the_unit_of_the_recordings(renderer):
     told = make_scene(unit=Unit("cm", 50.0))
     drawn = (renderer.draw(told) != renderer.draw(make_scene()))[:SIZE]
     assert drawn.any() and not drawn[: SIZE // 2].any()
+
+
+def test_scale_bar_of_a_search_follows_the_length_of_its_arena_unit():
+    scenario = make_scenario("silkmoth", demos=None, metres_per_unit=0.01)
+    assert SceneRecorder(make_world(scenario)).unit == Unit("m", 0.01)
 
 
 @pytest.mark.parametrize("what", LATER)
