@@ -8,11 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, ge
 
 import numpy as np
 
-from animarl_envs.errors import InputError, printable, require
-
-__all__ = [
-    "check_names", "check_options", "is_number", "is_whole", "option", "plain", "printable",
-]  # fmt: skip
+from animarl_envs.errors import InputError, require
 
 LONGEST_NAME = 200  # characters
 FORMULA = "=+-@"  # with which a spreadsheet begins to compute

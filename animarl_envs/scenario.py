@@ -24,7 +24,7 @@ from animarl_envs.species import (
     get_species,
     species_name,
 )
-from animarl_envs.species.options import with_options as with_options
+from animarl_envs.species.options import with_options
 
 Condition = Literal[0, 1, "demo"]
 Demos = Demonstrations | str | Path | None

@@ -47,7 +47,7 @@ from animarl_envs.demos.joining import join
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.files import all_files_or_none
-from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import PACKAGED
 

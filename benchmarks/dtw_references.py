@@ -26,7 +26,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST, NUM_ACTIONS

@@ -57,7 +57,8 @@ from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import CHOSEN, RunSettings, pipeline_settings
 from animarl_envs import environment_id
-from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError

@@ -23,7 +23,7 @@ from rich.table import Table
 
 from animarl_envs.demos.packaged import packaged_names
 from animarl_envs.dtw import DTWTracker
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import get_species

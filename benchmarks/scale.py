@@ -34,7 +34,7 @@ from animarl_algos.runs.run_files import write_json
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
 
 STEPS = 600  # of the world, at least, and three times as many: the difference is the slope
 EPOCHS = (1, 2)

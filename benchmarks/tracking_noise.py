@@ -19,8 +19,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from animarl_envs.fitting import fit_joint, transitions
+from animarl_envs.fitting.joint import fit_joint
 from animarl_envs.fitting.noise import fit_with_noise
+from animarl_envs.fitting.transitions import transitions
 from animarl_envs.locomotion import Locomotion
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

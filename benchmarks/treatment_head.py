@@ -43,7 +43,7 @@ from animarl_algos.learner.pretraining import OfflineDataset
 from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.recipes.registry import DQCIL, DQDIL, named_recipe
 from animarl_envs import environment_id
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.importing.readers import read
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from animarl_envs.demos import Demonstrations
-from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe

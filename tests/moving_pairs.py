@@ -7,7 +7,8 @@ from recordings import episodes_along
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import PURSUER_OUT, TIME_OUT, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TIME_OUT
 
 STARTS = 30
 ARENA = Arena("square", 1.0, 1.1)

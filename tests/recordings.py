@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES, ChaseSpecies

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from recordings import episodes_along
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import Locomotion, apply_actions

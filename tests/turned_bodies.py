@@ -12,8 +12,8 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.turning import along_travel
-from animarl_envs.scenario import with_options
 from animarl_envs.species import ChaseSpecies
+from animarl_envs.species.options import with_options
 from animarl_envs.species.turning import Turning
 
 SIDEWAYS = Turning(persistence=0.4, gain=0.6, slip=-0.5, speed=0.8)

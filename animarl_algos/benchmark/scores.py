@@ -36,12 +36,11 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
 from animarl_algos.evaluation.verdict import SUMMARY, summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
-from animarl_envs.checks import printable
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import learnable
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, printable
 from animarl_envs.locomotion import residual
 from animarl_envs.species import get_species
 

@@ -12,7 +12,7 @@ from rich.table import Table
 from animarl_algos.cli.describing import hints, report, show, wide_console
 from animarl_algos.cli.main import SETTINGS
 from animarl_algos.cli.shared import SOURCE, helps, load, refuse_overwriting, write_csv
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal

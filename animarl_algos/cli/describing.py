@@ -11,8 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from animarl_algos.cli.shared import PlainConsole
-from animarl_envs.checks import printable
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.summary import (
     RESTING_SHARE,
@@ -22,6 +21,7 @@ from animarl_envs.demos.summary import (
     tracking_counts,
     unit_of,
 )
+from animarl_envs.errors import printable
 from animarl_envs.fitting.custom_species import MAY_BE_BEYOND, share_beyond
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.species import CUSTOM

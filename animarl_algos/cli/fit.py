@@ -12,17 +12,16 @@ from rich.text import Text
 
 from animarl_algos.checked import SEED
 from animarl_algos.cli import shared
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError, require
-from animarl_envs.fitting import LocomotionFit, fit_locomotion, track
 from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import FAST, joint_locomotion
 from animarl_envs.fitting.noise import fit_with_noise
-from animarl_envs.fitting.result import Method, doubts, fits_by_kind
+from animarl_envs.fitting.result import LocomotionFit, Method, doubts, fit_locomotion, fits_by_kind
 from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, StateFit, compare_states
-from animarl_envs.fitting.tracking import speed_distances, tracking_errors
+from animarl_envs.fitting.tracking import speed_distances, track, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
 from animarl_envs.species import get_species
 

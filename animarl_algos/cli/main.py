@@ -12,8 +12,7 @@ from importlib.resources import files
 from time import perf_counter
 from typing import Any, NamedTuple
 
-from animarl_envs.checks import printable
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, MissingExtraError, printable
 from animarl_envs.files import unreadable_or_unwritable
 
 try:

@@ -16,11 +16,10 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from rich.console import Console
 
-from animarl_envs.checks import printable
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, printable
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.readers import read
 

@@ -36,7 +36,7 @@ from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_s
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits
-from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import PACKAGED
 

@@ -43,8 +43,8 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
-from animarl_envs.fitting import LocomotionFit
 from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.fitting.result import LocomotionFit
 from animarl_envs.scenario import PACKAGED, Condition, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading

@@ -21,8 +21,7 @@ from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.run_settings import check_device
 from animarl_algos.zoo import manager
-from animarl_envs.checks import printable
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, printable
 from animarl_envs.files import unreadable_or_unwritable
 
 COMMANDS = ("train", "optimize")

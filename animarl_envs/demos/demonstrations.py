@@ -19,10 +19,7 @@ from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import (
     HEADING,
     INTERVAL,
-    PURSUER_OUT,
     SPLITS,
-    TARGET_OUT,
-    TIME_OUT,
     UNFINISHED,
     Episode,
     Episodes,
@@ -33,10 +30,6 @@ from animarl_envs.demos.episode import (
 from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions, lone_pursuer
 from animarl_envs.locomotion import velocities
-
-__all__ = [
-    "PURSUER_OUT", "SPLITS", "TARGET_OUT", "TIME_OUT", "UNFINISHED", "Demonstrations", "Episode",
-]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -167,7 +167,8 @@ def _actions(demos: Demonstrations) -> tuple[NDArray[np.int8], str]:
         recorded = demos.signals["actions"]
         if recorded.dtype == np.int8 and recorded.shape == demos.positions.shape[:2]:
             return recorded, RECORDED
-    from animarl_envs.fitting import demonstrated_actions, fit_locomotion
+    from animarl_envs.fitting.result import fit_locomotion
+    from animarl_envs.fitting.transitions import demonstrated_actions
 
     fit = fit_locomotion(demos, split=None, bootstrap=0)
     return demonstrated_actions(demos, fit.locomotion), INFERRED

@@ -63,7 +63,7 @@ class World(ABC):
     terminated, truncated
         ``(B,)`` bool. A time limit truncates and never terminates.
     outcome
-        ``(B,)`` int8, codes of :mod:`animarl_envs.demos.demonstrations`.
+        ``(B,)`` int8, codes of :mod:`animarl_envs.demos.episode`.
     step_count, demo, condition
         ``(B,)``: steps since the start, paired demonstration (-1 without), experimental condition.
     warming

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import MethodSetting
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.fitting import demonstrated_actions
+from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.importing.minari_io import export_minari, import_minari
 from animarl_envs.worlds import demonstration_observations
 

@@ -7,7 +7,7 @@ import pytest
 from refusals import refuses
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import UNFINISHED
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario

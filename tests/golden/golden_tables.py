@@ -20,7 +20,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[n]) for n in (0, 2)]
 from golden_table_files import Case, table_cases  # noqa: E402
 from golden_tracker_files import of_recipes, of_trackers  # noqa: E402
 
-from animarl_envs.demos import Demonstrations  # noqa: E402
+from animarl_envs.demos.demonstrations import Demonstrations  # noqa: E402
 from animarl_envs.errors import InputError  # noqa: E402
 from animarl_envs.importing.readers import find_reader, get_reader, read, read_tracks  # noqa: E402
 from animarl_envs.importing.tracks import Tracks  # noqa: E402

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 
 BODIES = np.cumsum(np.random.default_rng(0).normal(0, 1.0, (40, 2, 2)), axis=0) + [
     [50, 50],

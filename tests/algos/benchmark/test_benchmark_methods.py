@@ -40,7 +40,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.run import Run
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import demonstrated_actions
+from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.locomotion import COAST
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, get_species

@@ -15,7 +15,8 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import SAME
-from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import cross_validated
 from benchmarks import faithful

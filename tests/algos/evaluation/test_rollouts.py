@@ -19,7 +19,8 @@ from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_algos.evaluation.teams import PublishedTeam, teams_of
-from animarl_envs.demos.demonstrations import TARGET_OUT, TIME_OUT, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TARGET_OUT, TIME_OUT
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.custom_species import species_of

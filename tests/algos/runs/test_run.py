@@ -34,7 +34,7 @@ from animarl_algos.runs.run_files import commit, machine
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.joining import first_of_role
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
 
 PAGE = "docs/what_if.md"
 

@@ -9,10 +9,12 @@ from refusals import refuses
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
-from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.demos.packaged import FOLDER, load_packaged
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import demonstrated_actions, fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
+from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import distances_to_target
 from animarl_envs.species import get_species
 from tools.packaged_data import courtship

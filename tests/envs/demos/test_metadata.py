@@ -17,7 +17,8 @@ from refusals import refuses
 from animarl_algos.cli.data import merged
 from animarl_algos.cli.describing import hints
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.importing.readers import read_tracks
 from animarl_envs.species import AGENT

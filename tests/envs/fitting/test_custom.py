@@ -13,7 +13,8 @@ from recordings import CHASER, PREY, dogs, search
 
 import animarl_envs
 from animarl_algos.cli.describing import found_by_itself
-from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.fitting import joint

@@ -14,18 +14,17 @@ from thrust_walks import DT, ROLES, walk
 
 from animarl_algos.evaluation.verdict import implausible, verdict
 from animarl_envs.arena import Arena
-from animarl_envs.demos import Demonstrations
-from animarl_envs.fitting import (
-    LocomotionFit,
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.fitting.joint import bootstrap_joint, fit_joint
+from animarl_envs.fitting.result import LocomotionFit, doubts, fit_locomotion
+from animarl_envs.fitting.transitions import (
+    Transitions,
+    bootstrap_onset,
     demonstrated_actions,
-    fit_joint,
-    fit_locomotion,
+    onset_data,
     transitions,
     velocity_rmse,
 )
-from animarl_envs.fitting.joint import bootstrap_joint
-from animarl_envs.fitting.result import doubts
-from animarl_envs.fitting.transitions import Transitions, bootstrap_onset, onset_data
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion

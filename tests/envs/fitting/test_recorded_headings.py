@@ -19,8 +19,8 @@ from animarl_envs.demos.joining import first_of_role, join
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.turning import along_travel, fit_turning, heading_misses
-from animarl_envs.scenario import with_options
 from animarl_envs.species import ChaseSpecies
+from animarl_envs.species.options import with_options
 from animarl_envs.views.common import plain
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -16,12 +16,14 @@ from thrust_walks import DT, walk
 from animarl_algos.cli.describing import hints
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_settings import RunSettings
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.demos.summary import persistence
-from animarl_envs.fitting import fit_joint, fit_locomotion, transitions
+from animarl_envs.fitting.joint import fit_joint
 from animarl_envs.fitting.noise import fit_with_noise
+from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.fitting.states import compare_states
+from animarl_envs.fitting.transitions import transitions
 from animarl_envs.locomotion import Locomotion
 
 FAST = tuple(Locomotion(d, u) for d, u in ((0.2, 2.0), (0.25, 2.4), (0.3, 3.0)))

@@ -16,16 +16,10 @@ from animarl_algos.cli.fit import parse_numbers
 from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting import (
-    fit_joint,
-    fit_locomotion,
-    joint_locomotion,
-    one_step_misses,
-    track,
-    transitions,
-)
-from animarl_envs.fitting.joint import fast_speed
-from animarl_envs.fitting.tracking import speed_distances, tracking_errors
+from animarl_envs.fitting.joint import fast_speed, fit_joint, joint_locomotion
+from animarl_envs.fitting.result import fit_locomotion
+from animarl_envs.fitting.tracking import one_step_misses, speed_distances, track, tracking_errors
+from animarl_envs.fitting.transitions import transitions
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import default_recipe, follow, get_reader
 from animarl_envs.locomotion import MOST_THRUSTS, Locomotion, apply_actions, infer_actions

@@ -18,8 +18,9 @@ from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.recipes.registry import DQN
 from animarl_algos.runs.inspecting import action_labels, decide_along
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting import demonstrated_actions, one_step_misses, transitions
 from animarl_envs.fitting.joint import nearest_actions
+from animarl_envs.fitting.tracking import one_step_misses
+from animarl_envs.fitting.transitions import demonstrated_actions, transitions
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import COAST, MOST_THRUSTS, Locomotion, apply_actions, infer_actions
 from animarl_envs.scenario import make_scenario

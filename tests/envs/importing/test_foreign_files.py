@@ -23,7 +23,7 @@ from refusals import refused, refuses
 
 from animarl_algos.learner.checkpoint import load_tensors
 from animarl_algos.learner.presets import read_file
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.files import parse_yaml, read_npz, read_yaml
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import available_readers, read, read_tracks

@@ -11,7 +11,7 @@ from commands import animarl
 from numpy.typing import NDArray
 from refusals import refuses
 
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import Cleaning, Scaling, clean, fill_gaps, resample
 from animarl_envs.importing.cutting import Cutting

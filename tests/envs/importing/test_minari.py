@@ -9,7 +9,7 @@ import pytest
 from refusals import refuses
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.importing.minari_io import export_minari, export_packaged, import_minari
 from animarl_envs.importing.readers import read

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animarl_envs.demos import Demonstrations
-from animarl_envs.fitting import fit_locomotion, transitions
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.fitting.result import fit_locomotion
+from animarl_envs.fitting.transitions import transitions
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import (
     available_readers,

@@ -14,7 +14,8 @@ from turned_bodies import SIDEWAYS, SLOW, recorded, species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.fitting.custom_species import species_of
-from animarl_envs.scenario import make_scenario, with_options
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species.options import with_options
 from animarl_envs.worlds import mirror
 from animarl_envs.worlds.chase.world import ChaseWorld
 

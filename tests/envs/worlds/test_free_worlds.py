@@ -12,8 +12,8 @@ import animarl_envs
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
-from animarl_envs.fitting import joint_locomotion, track
-from animarl_envs.fitting.tracking import one_step_misses
+from animarl_envs.fitting.joint import joint_locomotion
+from animarl_envs.fitting.tracking import one_step_misses, track
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, observation_components

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from recordings import begun
 
-from animarl_envs.demos.demonstrations import TIME_OUT
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH, SPECIES

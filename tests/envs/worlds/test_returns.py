@@ -14,7 +14,7 @@ from conftest import DATA
 from numpy.typing import NDArray
 
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import AGENT
