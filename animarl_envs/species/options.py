@@ -1,6 +1,6 @@
 """The user's options applied to a species, each checked and refused by name."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, get_args
 
@@ -73,7 +73,10 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
 def _with_members(species: Species, options: dict[str, Any]) -> Species:
     """Return the species with other individuals, as those of ``options`` say that tell who."""
     counts = {key: options.pop(key, None) for key in COUNTS}
-    names = tuple(options.pop("individuals")) if "individuals" in options else None
+    given = options.pop("individuals", None)
+    if not isinstance(given, Iterable | None) or isinstance(given, str):
+        raise InputError(f"individuals is {given!r}: give a name to each, in a list")
+    names = None if given is None else tuple(given)
     free = isinstance(species, ChaseSpecies) and bool(options.get("free", species.free))
     for key, count in counts.items():
         if count is None:

@@ -16,7 +16,7 @@ from animarl_envs.species.options import with_options
 
 
 def test_no_options_leave_the_species_as_it_is_and_a_larger_arena_keeps_its_margin() -> None:
-    assert with_options(AGENT) == AGENT
+    assert with_options(AGENT) == with_options(AGENT, individuals=None) == AGENT
     arena = with_options(AGENT, arena=2.0).arena
     assert arena.size == 2.0
     assert arena.boundary / arena.size == pytest.approx(AGENT.arena.boundary / AGENT.arena.size)

@@ -93,6 +93,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"demos": None, "num_targets": 0}, "num_targets is 0: it must be a whole number"),
     ("agent", {"demos": None, "num_targets": 2, "num_pursuers": 2}, "leave one of"),
     ("agent", {"demos": None, "individuals": ["a", "b"], "num_targets": 2}, "give one of the two"),
+    ("agent", {"demos": None, "individuals": 3}, "give a name to each"),
+    ("agent", {"demos": None, "individuals": "abc"}, "give a name to each"),
     ("agent", {"demos": None, "lone_pursuer": 1}, "choose True or False"),
     ("agent", {"num_targets": 2}, "holds 1 target: choose at most 1, or start='uniform'"),
     # demonstrations of one's own
