@@ -443,12 +443,17 @@ class Pictures:
         self._renderer: Renderer | None = None
 
     def follow(self, begun: Iterable[bool], stepped: bool = True) -> None:
-        """Begin anew with copies that have ``begun``; of the others record a step, if any."""
+        """Begin anew with copies that have ``begun``; of the others record a step, if any.
+
+        In a window, show it.
+        """
         for recorder, new in zip(self._recorders, begun, strict=False):
             if new:
                 recorder.start()
             elif stepped:
                 recorder.follow()
+        if self.render_mode == "human":
+            self.draw()
 
     def draw(self) -> list[NDArray[np.uint8]]:
         """Return a picture ``(height, width, 3)`` of each copy, blank where it is not drawn.

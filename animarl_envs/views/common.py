@@ -3,7 +3,7 @@
 import copy
 import json
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from operator import index
@@ -78,14 +78,6 @@ class View:
         self._actions = np.zeros((num_copies, self.world.num_individuals), dtype=np.int64)
         self._started = False
 
-    def _follow(self, begun: Iterable[bool], stepped: bool = True) -> None:
-        """Record a step for pictures, or the beginning of an episode; draw it in a window."""
-        if self.render_mode is None:
-            return
-        self._pictures.follow(begun, stepped)
-        if self.render_mode == "human":
-            self._pictures.draw()
-
     def render(self) -> Any:
         """Return the present scene as ``(height, width, 3)`` uint8, or show it in a window."""
         drawn = self._pictures.draw()
@@ -104,7 +96,7 @@ class View:
             self.world.seed(fresh())
         self._started = True
         self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
-        self._follow([True])
+        self._pictures.follow([True])
 
     def _shared_info(self, warming: bool) -> dict[str, Any]:
         """What the infos of all individuals of a single copy share."""

@@ -125,7 +125,7 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
-        self._follow([False])
+        self._pictures.follow([False])
         info = self._info(warming)
         info["executed"] = done
         return self._observation(), world.reward.item(i), terminated, truncated, info

@@ -111,7 +111,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False
-        self._follow(mask, stepped=False)
+        self._pictures.follow(mask, stepped=False)
         infos = self._infos()
         described = np.full(self.num_envs, None, dtype=object)
         described[:] = [json.loads(self._description)] * self.num_envs
@@ -163,7 +163,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
             world.reset(due)
             warming[due] = False
         common.cut_after(world, self._most)
-        self._follow(due)
+        self._pictures.follow(due)
         ended = world.terminated | world.truncated
         reward = world.reward[:, i].copy()
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
@@ -186,7 +186,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
             for key, value in infos.items()
         }
         self.world.reset(ended)
-        self._follow(ended, stepped=False)
+        self._pictures.follow(ended, stepped=False)
         infos |= self._infos()
         infos["final_obs"], infos["_final_obs"] = final, ended.copy()
         infos["final_info"], infos["_final_info"] = final_info, ended.copy()
