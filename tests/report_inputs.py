@@ -8,7 +8,8 @@ import pandas as pd
 from moving_pairs import rollouts_along
 from recordings import episodes_along
 
-from animarl_algos.evaluation import Answers, Asked, Rollouts, cue_effects, evaluate
+from animarl_algos.evaluation import Rollouts, cue_effects, evaluate
+from animarl_algos.evaluation.effects import measured_answers
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
 from animarl_algos.report.counterfactual_page import CounterfactualInputs, counterfactual_page
@@ -97,17 +98,20 @@ def report_page() -> str:
 def asked_page() -> str:
     """The page of a counterfactual: one method, two teams, what nothing was learned by."""
     demos = make_demos()
-    asked = answered(demos, "dqcil")
-    teams = make_rollouts(demos, "team: individual"), make_rollouts(demos, "team: shared")
-    everything = {
-        "DQCIL": Asked(
-            trained=asked, untrained=answered(demos, "untrained"), blind=answered(demos, "blind")
-        )
-    }
+    teams = ["team: individual", "team: shared"]
+    answers = {(name, "truth"): make_rollouts(demos, name) for name in teams}
+    for kind, seed in (("", "dqcil"), ("untrained, ", "untrained"), ("flag zeroed, ", "blind")):
+        both = make_rollouts(demos, seed, flipped=True)
+        told = both.cue == both.condition
+        answers["DQCIL", f"{kind}factual"] = both.select(told)
+        answers["DQCIL", f"{kind}flipped"] = both.select(~told)
+    episodes = measured_answers(demos, answers)
     page = counterfactual_page(
         CounterfactualInputs(
-            demos=demos, species=AGENT, asked=everything, teams=teams,
-            effects=cue_effects(everything, demos, teams=teams, planned=(0, 1), resamples=100),
+            demos=demos, species=AGENT, answers=answers, teams=teams, episodes=episodes,
+            effects=cue_effects(
+                episodes, {"DQCIL": True}, teams=teams, planned=(0, 1), resamples=100
+            ),
             seeds={"DQCIL": (0, 1)}, world={"arena": "square"}, **MADE,
             settings={"DQCIL": {"alpha": 1.0}}, versions={"torch": "2.13.0"},
             command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
@@ -146,10 +150,3 @@ def inspected_page() -> str:
         )
     )
     return page.html()
-
-
-def answered(demos: Demonstrations, method: str) -> Answers:
-    """Rollouts of one method, told the truth and the other condition."""
-    both = make_rollouts(demos, method, flipped=True)
-    told = both.cue == both.condition
-    return Answers(both.select(told), both.select(~told))

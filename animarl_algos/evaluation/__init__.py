@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import Evaluation, evaluate
-from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
+from animarl_algos.evaluation.effects import cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from animarl_algos.runs.inspecting import inspect_episode, inspect_run
 
 __all__ = [
-    "Answers", "Asked", "Evaluation", "RandomPolicy", "Rollouts", "Verdict", "ask_runs",
+    "Evaluation", "RandomPolicy", "Rollouts", "Verdict", "ask_runs",
     "collect_rollouts", "compare_runs", "counterfactual_runs", "cue_effects", "evaluate",
     "evaluate_runs", "inspect_episode", "inspect_run", "measure", "measure_recordings", "teams_of",
     "verdict",

@@ -12,54 +12,33 @@ there are at least three training seeds, their mean shift excludes zero over see
 and it differs from that of networks that learned nothing.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.comparison import COUNTING
-from animarl_algos.evaluation.metrics import PATH_LENGTH
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.metrics import DURATION, PATH_LENGTH, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import CONFIDENCE, RESAMPLES, Cells, Draws, Interval
 from animarl_envs.demos.demonstrations import Demonstrations
 
-MEAN, FLIPPED = "mean", "mean, cue flipped"
+MEAN, MEAN_FLIPPED = "mean", "mean, cue flipped"
 ERROR, PREDICTED, TRUE = "signed error", "predicted shift", "true shift"
 MISSED, UNTRAINED_SHIFT, BLIND = "predicted - true", "untrained shift", "flag zeroed"
 ACCURACY, ERROR_DIFFERENCE = "treatment accuracy", "difference of signed errors"
+
+# What an episode answers: a policy that was told the true condition, or the other one (of untrained
+# networks and with the flag zeroed, a word goes before); in the other world; a team.
+FACTUAL, FLIPPED, UNTRAINED, ZEROED = "factual", "flipped", "untrained, ", f"{BLIND}, "
+WORLD, TEAM = "other world", "truth"
 NO_TRUTH = "no truth is known for these demonstrations: give --truth"
 FEWEST_SEEDS = 3
-
-
-class Answers(NamedTuple):
-    """Rollouts of one method from the same starts, told the true condition and the other one."""
-
-    factual: Rollouts
-    flipped: Rollouts
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Asked:
-    """All that one method was asked, over its training seeds.
-
-    ``trained`` and ``untrained`` are the answers of the trained networks and of those that training
-    began with, ``blind`` those of the trained networks with the flag zeroed, with random numbers of
-    their own. ``world`` are rollouts in the world of the other condition, told so, where that
-    changes the world; ``accuracy`` the balanced accuracy of the treatment head on held-out
-    demonstrations, by seed; ``main`` says whether it is a variant of the main comparison.
-    """
-
-    trained: Answers
-    untrained: Answers | None = None
-    blind: Answers | None = None
-    world: Rollouts | None = None
-    accuracy: Mapping[int, float] = field(default_factory=dict)
-    main: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +54,22 @@ class Effects:
     claims: pd.DataFrame
 
 
+def measured_answers(
+    demos: Demonstrations, answers: Mapping[tuple[str, str], Rollouts]
+) -> pd.DataFrame:
+    """Return a row per recording and rollout, measured; ``answers`` are by method and answer."""
+    parts = [measure_recordings(demos).assign(answer=RECORDED)]
+    for (method, answer), rollouts in answers.items():
+        parts.append(measure(rollouts, demos).assign(method=method, answer=answer))
+    return pd.concat(parts, ignore_index=True)
+
+
 def cue_effects(
-    asked: Mapping[str, Asked],
-    demos: Demonstrations,
+    episodes: pd.DataFrame,
+    main: Mapping[str, bool],
     *,
-    teams: tuple[Rollouts, Rollouts] | None = None,
+    teams: Sequence[str] = (),
+    accuracy: Mapping[str, Sequence[float]] = {},
     planned: tuple[int, int] | None = None,
     resamples: int = RESAMPLES,
 ) -> Effects:
@@ -87,127 +77,124 @@ def cue_effects(
 
     Parameters
     ----------
-    asked, demos
-        By method; the evaluated demonstrations, which all rollouts started from.
+    episodes
+        Of :func:`measured_answers`.
+    main
+        The methods, and whether each is a variant of the main comparison.
     teams
-        What the teams of condition 0 and of condition 1 do from every start.
+        As which methods the teams of condition 0 and of condition 1 are in the table.
+    accuracy
+        By method, the balanced accuracy of the treatment head on held-out demonstrations, one per
+        training seed.
     planned
         The flip ``(from, to)`` that was planned in advance; only of it a claim may be worded.
     """
-    worked = _Effects(demos, teams, planned, Draws(0, resamples))
-    rows = [
-        worked.row(RECORDED, MEAN, c, c, counting, worked.recorded(counting, c))
-        for counting, c in worked.everything
+    draws, rows, claims = Draws(0, resamples), list[dict[str, Any]](), list[dict[str, Any]]()
+    conditions = episodes.loc[episodes["answer"] == RECORDED, "condition"].to_numpy()
+    places = [
+        (counting, c, _cells(episodes, conditions == c, counting))
+        for counting in COUNTING
+        for c in np.unique(conditions).tolist()
     ]
-    claims: list[dict[str, Any]] = []
-    for name, one in asked.items():
-        rows += worked.method_rows(name, one)
-        claims += worked.claim_rows(name, one)
-    for first, second in permutations(asked, 2):
+
+    def add(
+        method: str, quantity: str, of: int, told: int, counting: str, data: Cells,
+        value: Interval | None = None,
+    ) -> None:  # fmt: skip
+        seeds, starts = len(data.sums), int(data.starts.sum())
+        value = value or statistics.bootstrap_mean(data, draws)
+        speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
+        variant = "main" if main.get(method.partition(" - ")[0]) else "supplementary"
+        if method == RECORDED or (quantity == TRUE and teams):
+            seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
+        rows.append(
+            statistics.row_of(
+                value, method=method, variant="" if method == RECORDED else variant,
+                quantity=quantity, condition=of, told=told, planned=(of, told) == planned,
+                counting=counting, seeds=seeds, demos=starts, covers=speaks_of,
+            )
+        )  # fmt: skip
+
+    for counting, c, at in places:
+        add(RECORDED, MEAN, c, c, counting, at[RECORDED, RECORDED])
+    for name in main:
+        for counting, c, at in places:
+            found = _quantities(name, at, [teams[k] for k in (c, 1 - c)] if teams else ())
+            if _repeats_itself(episodes, name):
+                same = "it acts without chance: asked twice, it does the same"
+                found[BLIND] = Cells.absent(same)
+            for quantity, data in found.items():
+                add(name, quantity, c, c if quantity in (MEAN, ERROR) else 1 - c, counting, data)
+            if counting != "all":  # what counts among captures depends on what is asked
+                continue
+            against = "this flip was not planned in advance"
+            if (c, 1 - c) == planned:
+                against = objection_to_claim(found[PREDICTED], found[UNTRAINED_SHIFT], draws)
+            claims.append(
+                {"method": name, "condition": c, "told": 1 - c, "worded": not against,
+                 "reason": against}
+            )  # fmt: skip
+        data, mean = Cells.absent("it has no treatment head"), None
+        if accuracy.get(name):
+            data = statistics.single_cells(np.array(accuracy[name])[:, None])
+            mean = Interval(data.mean, reason="no interval")
+        add(name, ACCURACY, -1, -1, "all", data, mean)
+    for first, second in permutations(main, 2):
         if second == first.replace("CIL", "DIL"):
-            rows += worked.difference_rows(first, asked[first], second, asked[second])
+            for counting, c, at in places:
+                mine, other = (_quantities(name, at)[ERROR] for name in (first, second))
+                value = statistics.bootstrap_difference(mine, other, draws)
+                add(f"{first} - {second}", ERROR_DIFFERENCE, c, c, counting, mine, value)
     return Effects(pd.DataFrame(rows), pd.DataFrame(claims))
 
 
-@dataclass(frozen=True, eq=False)
-class _Effects:
-    demos: Demonstrations
-    teams: tuple[Rollouts, Rollouts] | None
-    planned: tuple[int, int] | None
-    draws: Draws
-
-    @property
-    def everything(self) -> list[tuple[str, int]]:
-        conditions = np.unique(self.demos.condition).tolist()
-        return [(counting, c) for counting in COUNTING for c in conditions]
-
-    def method_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
-        for counting, c in self.everything:
-            factual, flipped = (self.of(side, counting, c) for side in one.trained)
-            predicted = minus(flipped, factual)
-            truth = None if self.teams is None else Answers(self.teams[c], self.teams[1 - c])
-            truth = truth if one.world is None else Answers(one.trained.factual, one.world)
-            true = self.shift(truth, counting, c, NO_TRUTH)
-            found = {
-                MEAN: (c, factual),
-                FLIPPED: (1 - c, flipped),
-                ERROR: (c, minus(factual, self.recorded(counting, c))),
-                PREDICTED: (1 - c, predicted),
-                TRUE: (1 - c, true),
-                MISSED: (1 - c, minus(predicted, true)),
-                UNTRAINED_SHIFT: (1 - c, self.shift(one.untrained, counting, c)),
-                BLIND: (1 - c, self.shift(one.blind, counting, c)),
-            }
-            blind = one.blind
-            if blind and np.array_equal(blind.factual.positions, blind.flipped.positions):
-                same = "it acts without chance: asked twice, it does the same"
-                found[BLIND] = 1 - c, Cells.absent(same)
-            for quantity, (told, data) in found.items():
-                yield self.row(name, quantity, c, told, counting, data, one.main)
-        data, mean = Cells.absent("it has no treatment head"), None
-        if one.accuracy:
-            data = statistics.single_cells(np.array([*one.accuracy.values()])[:, None])
-            mean = Interval(data.mean, reason="no interval")
-        yield self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
-
-    def claim_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
-        """Only over all episodes: what counts among captures depends on what is asked."""
-        for c in np.unique(self.demos.condition).tolist():
-            against = "this flip was not planned in advance"
-            if (c, 1 - c) == self.planned:
-                shift, untrained = (self.shift(a, "all", c) for a in (one.trained, one.untrained))
-                against = objection_to_claim(shift, untrained, self.draws)
-            yield {"method": name, "condition": c, "told": 1 - c, "worded": not against,
-                   "reason": against}  # fmt: skip
-
-    def difference_rows(
-        self, first: str, a: Asked, second: str, b: Asked
-    ) -> Iterator[dict[str, Any]]:
-        """Signed error of one method minus that of another, on the same starts."""
-        for counting, c in self.everything:
-            truth = self.recorded(counting, c)
-            mine, other = (
-                minus(self.of(one.trained.factual, counting, c), truth) for one in (a, b)
-            )
-            value = statistics.bootstrap_difference(mine, other, self.draws)
-            name = f"{first} - {second}"
-            yield self.row(name, ERROR_DIFFERENCE, c, c, counting, mine, a.main, value)
-
-    def shift(
-        self, answers: Answers | None, counting: str, c: int, lacking: str = "not asked"
-    ) -> Cells:
-        if answers is None:
-            return Cells.absent(lacking)
-        return minus(self.of(answers.flipped, counting, c), self.of(answers.factual, counting, c))
-
-    def recorded(self, counting: str, c: int) -> Cells:
-        return self.of(Rollouts.from_demonstrations(self.demos), counting, c)
-
-    def of(self, rollouts: Rollouts, counting: str, c: int) -> Cells:
-        """The metric by seed and start, of starts of condition ``c``."""
-        starts = self.demos.condition == c
-        counts = starts[rollouts.demo] & (rollouts.captured | (counting == "all"))
-        values = PATH_LENGTH.measure(Prepared(self.demos).episodes(rollouts))
+def _cells(
+    episodes: pd.DataFrame, starts: NDArray[np.bool_], counting: str
+) -> dict[tuple[str, str], Cells]:
+    """Return path lengths by seed and start, of some of the starts, by method and answer."""
+    counts = starts[episodes["demo"]] & (episodes["captured"] | (counting == "all"))
+    found = {}
+    for (method, answer), rows in episodes.assign(counts=counts).groupby(["method", "answer"]):
         whole = statistics.cells(
-            values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts
+            rows[PATH_LENGTH.key], rows["seed"], rows["demo"], len(starts), rows["counts"]
         )
-        return Cells(whole.sums[:, starts], whole.counts[:, starts])
+        found[str(method), str(answer)] = Cells(whole.sums[:, starts], whole.counts[:, starts])
+    return found
 
-    def row(
-        self, method: str, quantity: str, of: int, told: int, counting: str, data: Cells,
-        main: bool = True, value: Interval | None = None,
-    ) -> dict[str, Any]:  # fmt: skip
-        seeds, starts = len(data.sums), int(data.starts.sum())
-        value = value or statistics.bootstrap_mean(data, self.draws)
-        speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
-        if method == RECORDED or (quantity == TRUE and self.teams is not None):
-            seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
-        return statistics.row_of(
-            value, method=method,
-            variant="" if method == RECORDED else "main" if main else "supplementary",
-            quantity=quantity, condition=of, told=told, planned=(of, told) == self.planned,
-            counting=counting, seeds=seeds, demos=starts, covers=speaks_of,
-        )  # fmt: skip
+
+def _quantities(
+    name: str, at: Mapping[tuple[str, str], Cells], teams: Sequence[str] = ()
+) -> dict[str, Cells]:
+    """Return every quantity of a method at some starts; ``teams`` are theirs and the other one."""
+
+    def shift(kind: str) -> Cells:
+        lacking = Cells.absent("not asked")
+        before, after = (at.get((name, kind + one), lacking) for one in (FACTUAL, FLIPPED))
+        return minus(after, before)
+
+    factual, predicted = at[name, FACTUAL], shift("")
+    if teams:
+        true = minus(at[teams[1], TEAM], at[teams[0], TEAM])
+    else:
+        true = minus(at.get((name, WORLD), Cells.absent(NO_TRUTH)), factual)
+    return {
+        MEAN: factual,
+        MEAN_FLIPPED: at[name, FLIPPED],
+        ERROR: minus(factual, at[RECORDED, RECORDED]),
+        PREDICTED: predicted,
+        TRUE: true,
+        MISSED: minus(predicted, true),
+        UNTRAINED_SHIFT: shift(UNTRAINED),
+        BLIND: shift(ZEROED),
+    }
+
+
+def _repeats_itself(episodes: pd.DataFrame, name: str) -> bool:
+    """Return whether a method did the same twice with the flag zeroed."""
+    own = episodes[episodes["method"] == name].set_index("answer")
+    asked = [own[own.index == ZEROED + one] for one in (FACTUAL, FLIPPED)]
+    once, again = (one[[PATH_LENGTH.key, DURATION.key]] for one in asked)
+    return len(once) > 0 and np.array_equal(once, again)
 
 
 def minus(first: Cells, second: Cells) -> Cells:

@@ -1,18 +1,18 @@
 """The page of a counterfactual: what is claimed, and shifts beside their truth."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from animarl_algos.evaluation import effects as effects_of
 from animarl_algos.evaluation.comparison import COUNTING
-from animarl_algos.evaluation.effects import Asked, Effects
+from animarl_algos.evaluation.effects import FACTUAL, FLIPPED, TEAM, Effects
 from animarl_algos.evaluation.metrics import PATH_LENGTH
-from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
-from animarl_algos.evaluation.statistics import Interval, cells
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance
 from animarl_algos.report.style import Image, method_label, to_image
@@ -27,7 +27,6 @@ SHIFTS = {
     "Flag\nzeroed": effects_of.BLIND,
 }
 NULLS = (effects_of.UNTRAINED_SHIFT, effects_of.BLIND)
-FACTUAL, FLIPPED, TEAM = "factual", "flipped", "team"
 TOLD_OTHER = "told the other condition"
 
 
@@ -35,13 +34,15 @@ TOLD_OTHER = "told the other condition"
 class CounterfactualInputs(PageInputs):
     """Everything that the page of a counterfactual shows.
 
-    ``teams`` are what the teams of condition 0 and of condition 1 do; ``seeds`` the training seeds
-    by method.
+    ``answers`` are rollouts by method and answer, measured in the table of ``episodes``, ``teams``
+    as which methods the teams of condition 0 and of condition 1 are there, ``seeds`` the training
+    seeds by method.
     """
 
     species: Species
-    asked: Mapping[str, Asked]
-    teams: tuple[Rollouts, Rollouts] | None
+    answers: Mapping[tuple[str, str], Rollouts]
+    teams: Sequence[str]
+    episodes: pd.DataFrame
     effects: Effects
     seeds: Mapping[str, tuple[int, ...]]
 
@@ -59,7 +60,7 @@ class CounterfactualInputs(PageInputs):
 
 def counterfactual_page(inputs: CounterfactualInputs) -> page.Page:
     """Return the page: what is claimed and the player, then shifts and how it was made."""
-    names = list(map(method_label, inputs.asked))
+    names = list(map(method_label, inputs.seeds))
     said = [page.Text([*some], "sentences") for some in (findings(inputs), cautions(inputs))]
     seeds = [
         (method_label(name), f"seeds {', '.join(map(str, some))}")
@@ -126,7 +127,7 @@ def cautions(inputs: CounterfactualInputs) -> Iterator[str]:
             "The true shift is the same policy in the world of the other condition. Blocked senses "
             "reveal the condition by themselves, so being blind to it costs sensory information."
         )
-    elif inputs.teams is None:
+    elif not inputs.teams:
         yield (
             "No truth is known for these demonstrations: the true shift is missing in all tables."
         )
@@ -190,7 +191,7 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
     """Predicted and true shifts over the nulls, a panel per flip; the line is no shift."""
     for of in (0, 1):
         shifts, colours = {}, {}
-        for name in inputs.asked:
+        for name in inputs.seeds:
             for quantity in SHIFTS.values():
                 value = inputs.value(name, quantity, of)
                 if quantity == effects_of.MISSED or not np.isfinite(value.estimate):
@@ -210,10 +211,10 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
 
 def _player(inputs: CounterfactualInputs) -> page.Player:
     """Play the first method: factual beside flipped, flipped beside the truth and the recording."""
-    name = method_label(next(iter(inputs.asked)))
+    name = method_label(next(iter(inputs.seeds)))
     factual = f"{name}, factual"
     views = [player.view("flipped", factual, FACTUAL, TOLD_OTHER, FLIPPED)]
-    if inputs.teams is not None:
+    if inputs.teams:
         team = "team of the other condition"
         views.append(player.view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
     views.append(player.view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
@@ -225,19 +226,17 @@ def _player(inputs: CounterfactualInputs) -> page.Player:
 
 def _scenes(inputs: CounterfactualInputs) -> Iterator[player.Scene]:
     """Starts by how much longer paths get when the first method is told the other condition."""
-    trained, demos = next(iter(inputs.asked.values())).trained, inputs.demos
-    prepared, number = Prepared(demos), demos.num_episodes
-    before, after = (
-        cells(PATH_LENGTH.measure(prepared.episodes(r)), [0] * len(r), r.demo, number).cell_means[0]
-        for r in trained
-    )
+    table, demos, first = inputs.episodes, inputs.demos, next(iter(inputs.seeds))
+    lengths = table[table["method"] == first].pivot_table(PATH_LENGTH.key, "demo", "answer")
+    longer = (lengths[FLIPPED] - lengths[FACTUAL]).to_numpy()
+    shown = {RECORDED: Rollouts.from_demonstrations(demos)}
+    shown |= {answer: inputs.answers[first, answer] for answer in (FACTUAL, FLIPPED)}
     present = np.unique(demos.condition).tolist()
     for condition in present:
+        if inputs.teams:
+            shown[TEAM] = inputs.answers[inputs.teams[1 - condition], TEAM]
         starts = np.flatnonzero(demos.condition == condition)
         quantiles = player.middles(max(1, player.STARTS // len(present)))
-        for start in starts[player.at_ranks((after - before)[starts], starts, quantiles)].tolist():
-            of = {RECORDED: prepared.recorded, FACTUAL: trained.factual, FLIPPED: trained.flipped}
-            if inputs.teams is not None:
-                of[TEAM] = inputs.teams[1 - condition]
-            first = {k: (some, int(np.argmax(some.demo == start))) for k, some in of.items()}
-            yield f"Start {start}, {inputs.condition(condition)}", first
+        for start in starts[player.at_ranks(longer[starts], starts, quantiles)].tolist():
+            tracks = {k: (some, int(np.argmax(some.demo == start))) for k, some in shown.items()}
+            yield f"Start {start}, {inputs.condition(condition)}", tracks

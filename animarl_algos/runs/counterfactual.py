@@ -8,31 +8,28 @@ rollouts does not know of it; runs trained with permuted conditions (:func:`perm
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
+from animarl_algos.evaluation import effects
+from animarl_algos.evaluation.collect import Cue, Policy
 from animarl_algos.evaluation.comparison import write_tables
-from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
-from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.evaluation.effects import FACTUAL, FLIPPED, UNTRAINED, ZEROED
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.counterfactual_page import CounterfactualInputs, counterfactual_page
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.evaluating import UNTRAINED, command, refuse_run_folder
+from animarl_algos.runs.evaluating import command, refuse_run_folder
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
 from animarl_envs.scenario import Condition
-from animarl_envs.species import Species
 
 TEAM_SEED = 0
-BLIND = "flag zeroed"
 
 
 def ask_runs(
@@ -66,15 +63,34 @@ def ask_runs(
             f"{runs.first.path}: its test recordings are all of one condition: a counterfactual "
             "needs both"
         )
-    asked = {name: _ask(some, test, species, repetitions) for name, some in runs.methods.items()}
+    parts: defaultdict[tuple[str, str], list[Rollouts]] = defaultdict(list)
+    accuracy: defaultdict[str, list[float]] = defaultdict(list)
+    for name, some in runs.methods.items():
+        for run in some:
+            for answer, made in _ask(run, test, repetitions).items():
+                parts[name, answer].append(made)
+            found = run.policy.demonstrated_values(run.policy.demonstration_data().val)
+            if found.treatment_accuracy is not None:
+                accuracy[name].append(float(found.treatment_accuracy.mean()))
     teams = _teams(runs, test, truth, repetitions or runs.first.settings.repetitions)
+    answers = {of: Rollouts.concatenate(each, of[0]) for of, each in parts.items()}
+    answers |= {(team.method, effects.TEAM): team for team in teams}
+    episodes = effects.measured_answers(test, answers)
+    recipes = {name: named_recipe(some[0].settings.algo) for name, some in runs.methods.items()}
     more = [] if truth is None else ["--truth", str(truth)]
     more += [] if repetitions is None else ["--repetitions", str(repetitions)]
     return CounterfactualInputs(
         demos=test,
-        asked=asked,
-        teams=teams,
-        effects=cue_effects(asked, test, teams=teams, planned=species.planned_flip),
+        answers=answers,
+        teams=[team.method for team in teams],
+        episodes=episodes,
+        effects=effects.cue_effects(
+            episodes,
+            {name: own.pretrained == species.pretrained_main for name, own in recipes.items()},
+            teams=[team.method for team in teams],
+            accuracy=accuracy,
+            planned=species.planned_flip,
+        ),
         seeds=runs.seeds,
         settings={name: some[0].record["learner"] for name, some in runs.methods.items()},
         command=command("counterfactual", folders, *more),
@@ -96,85 +112,54 @@ def counterfactual_runs(
     """
     refuse_run_folder(out)
     found = ask_runs(folders, truth=truth, repetitions=repetitions)
-    effects = found.effects
-    tables = {"counterfactual": effects.table, "claims": effects.claims}
+    tables = {
+        "counterfactual": found.effects.table,
+        "claims": found.effects.claims,
+        "episodes": found.episodes,
+    }
     with all_files_or_none(out) as part:
-        tables["episodes"] = episode_table(found)
         write_tables(tables, part)
         counterfactual_page(found).write(part)
     return found
 
 
-def episode_table(found: CounterfactualInputs) -> pd.DataFrame:
-    """Return a row per rollout and recording, measured; ``answer`` says what was asked."""
-    test = found.demos
-    parts = [measure_recordings(test).assign(answer="recorded")]
-    for name, one in found.asked.items():
-        told = {"": one.trained, "untrained, ": one.untrained, "flag zeroed, ": one.blind}
-        answers = {
-            f"{kind}{what}": rollouts
-            for kind, pair in told.items()
-            if pair is not None
-            for what, rollouts in pair._asdict().items()
-        }
-        if one.world is not None:
-            answers["other world"] = one.world
-        for answer, rollouts in answers.items():
-            parts.append(measure(rollouts, test).assign(method=name, answer=answer))
-    parts += [measure(team, test).assign(answer="truth") for team in found.teams or ()]
-    return pd.concat(parts, ignore_index=True)
-
-
-def _ask(
-    runs: Sequence[Run], test: Demonstrations, species: Species, repetitions: int | None
-) -> Asked:
-    """Ask one method over its seeds."""
-    parts: defaultdict[str, list[tuple[Rollouts, Rollouts]]] = defaultdict(list)
-    worlds: list[Rollouts] = []
-    accuracy: dict[int, float] = {}
-    algo = runs[0].settings.algo
-    name = method_name(algo)
-    for run in runs:
-        model = run.policy
-        if not model.layout.condition_flag:
-            raise InputError(
-                f"{run.path}: {name} was never told the condition, so it cannot be told another: "
-                "leave it out"
-            )
-        ask = partial(run.roll_out, repetitions=repetitions)
-        parts[name].append((ask(model, name, "actual"), ask(model, name, "flipped")))
-        untrained = run.untrained()
-        parts[UNTRAINED].append(
-            (ask(untrained, UNTRAINED, "actual"), ask(untrained, UNTRAINED, "flipped"))
+def _ask(run: Run, test: Demonstrations, repetitions: int | None) -> dict[str, Rollouts]:
+    """Return what the policy of a run does from every start, by what it answers."""
+    model = run.policy
+    if not model.layout.condition_flag:
+        raise InputError(
+            f"{run.path}: {method_name(run.settings.algo)} was never told the condition, so it "
+            "cannot be told another: leave it out"
         )
-        # With the flag zeroed chance alone differs.
-        parts[BLIND].append((ask(model, BLIND, 0), ask(model, BLIND, 0, draws=1)))
-        if species.condition_is_sensed:
-            conditions: tuple[Condition, ...] = (0, 1)
-            for condition in conditions:  # every start, in the world of the other one, told so
-                scenario = run.starting_from("test", condition)
-                all_ = ask(model, name, "actual", scenario=scenario)
-                worlds.append(all_.select(test.condition[all_.demo] != condition))
-        found = model.demonstrated_values(model.demonstration_data().val).treatment_accuracy
-        if found is not None:
-            accuracy[run.settings.seed] = float(found.mean())
-    answers = {
-        kind: Answers(*(Rollouts.concatenate(told, kind) for told in zip(*pairs)))
-        for kind, pairs in parts.items()
+    untrained = run.untrained()
+    asked: dict[str, tuple[Policy, Cue, int]] = {
+        FACTUAL: (model, "actual", 0),
+        FLIPPED: (model, "flipped", 0),
+        UNTRAINED + FACTUAL: (untrained, "actual", 0),
+        UNTRAINED + FLIPPED: (untrained, "flipped", 0),
+        ZEROED + FACTUAL: (model, 0, 0),
+        ZEROED + FLIPPED: (model, 0, 1),  # other draws: with the flag zeroed chance alone differs
     }
-    return Asked(
-        trained=answers[name],
-        untrained=answers[UNTRAINED],
-        blind=answers[BLIND],
-        world=Rollouts.concatenate(worlds, name) if worlds else None,
-        accuracy=accuracy,
-        main=named_recipe(algo).pretrained == species.pretrained_main,
-    )
+    answers = {
+        answer: run.roll_out(policy, answer, cue, repetitions=repetitions, draws=draws)
+        for answer, (policy, cue, draws) in asked.items()
+    }
+    if run.species.condition_is_sensed:
+        worlds: list[Rollouts] = []
+        conditions: tuple[Condition, ...] = (0, 1)
+        for condition in conditions:  # every start, in the world of the other one, told so
+            other = run.starting_from("test", condition)
+            made = run.roll_out(
+                model, effects.WORLD, "actual", scenario=other, repetitions=repetitions
+            )
+            worlds.append(made.select(test.condition[made.demo] != condition))
+        answers[effects.WORLD] = Rollouts.concatenate(worlds)
+    return answers
 
 
 def _teams(
     runs: RunSet, test: Demonstrations, truth: Path | None, repetitions: int
-) -> tuple[Rollouts, Rollouts] | None:
+) -> list[Rollouts]:
     """Return what the generating teams of both conditions do, where they are known."""
     species = runs.species
     if species.condition_is_sensed or any(run.settings.focal for run in runs.runs):
@@ -183,17 +168,13 @@ def _teams(
                 f"--truth {truth}: teams are the truth of chases in which everybody learned: "
                 "leave it out"
             )
-        return None
-    teams = teams_of(test, truth)
-    if teams is None:
-        return None
-    first, second = (
+        return []
+    return [
         team.roll_out(
             species, test, name=f"team: {condition}", seed=TEAM_SEED, repetitions=repetitions
         )
-        for team, condition in zip(teams, species.conditions)
-    )
-    return first, second
+        for team, condition in zip(teams_of(test, truth) or (), species.conditions)
+    ]
 
 
 def permute_conditions(demos: Demonstrations, rng: np.random.Generator) -> Demonstrations:

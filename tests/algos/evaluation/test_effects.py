@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation import Answers, Asked, Rollouts, collect_rollouts, cue_effects
+from animarl_algos.evaluation import Rollouts, collect_rollouts, cue_effects
 from animarl_algos.evaluation import effects as of
-from animarl_algos.evaluation.effects import FEWEST_SEEDS, objection_to_claim
+from animarl_algos.evaluation.collect import Cue
+from animarl_algos.evaluation.effects import FEWEST_SEEDS, measured_answers, objection_to_claim
 from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.evaluation.statistics import Cells
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -64,22 +65,28 @@ def world_of(copies: int) -> Any:
     return make_world(scenario, copies)
 
 
-def answers(policy: Any, seed: int, reseed: Any = None) -> Answers:
-    both = [
-        collect_rollouts(
+def answers(policy: Any, seed: int, reseed: Any = None) -> dict[str, Rollouts]:
+    cues: dict[str, Cue] = {of.FACTUAL: "actual", of.FLIPPED: "flipped"}
+    return {
+        answer: collect_rollouts(
             world_of, policy, method="m", seed=seed, repetitions=2, cue=cue, resolution=None,
             reseed=reseed,
         )
-        for cue in ("actual", "flipped")
-    ]  # fmt: skip
-    return Answers(*both)
+        for answer, cue in cues.items()
+    }  # fmt: skip
 
 
-def joined(seeds: list[Answers]) -> Answers:
-    return Answers(
-        Rollouts.concatenate([one.factual for one in seeds]),
-        Rollouts.concatenate([one.flipped for one in seeds]),
-    )
+def joined(seeds: list[dict[str, Rollouts]]) -> dict[str, Rollouts]:
+    return {answer: Rollouts.concatenate([one[answer] for one in seeds]) for answer in seeds[0]}
+
+
+def effects(methods: dict[str, dict[str, Rollouts]], *teams: Rollouts, **options: Any) -> Any:
+    told = {(name, answer): r for name, own in methods.items() for answer, r in own.items()}
+    told |= {(team.method, of.TEAM): team for team in teams}
+    return cue_effects(
+        measured_answers(starts(), told), dict.fromkeys(methods, True),
+        teams=[team.method for team in teams], **{"resamples": SMALL, **options},
+    )  # fmt: skip
 
 
 def planted(start: int) -> float:
@@ -114,18 +121,17 @@ def planted_effects() -> Any:
     """Three seeds that thrust after 3, 4 or 5 steps; the truth is a team that does so after 4."""
     trained = joined([answers(PreyRests(3 + seed, 0.2, seed), seed) for seed in range(3)])
     team = PreyRests(4)
-    teams = tuple(
+    teams = (
         collect_rollouts(
             world_of, team, method=f"team {c}", seed=0, repetitions=1, cue=c, resolution=None
         )
         for c in (0, 1)
     )
-    asked = {"DQCIL": Asked(trained=trained)}
-    return cue_effects(asked, starts(), teams=teams, planned=(0, 1), resamples=SMALL)
+    return effects({"DQCIL": trained}, *teams, planned=(0, 1))
 
 
-def value(effects: Any, quantity: str, c: int) -> Any:
-    table = effects.table
+def value(found: Any, quantity: str, c: int) -> Any:
+    table = found.table
     (row,) = [
         row for _, row in table.iterrows()
         if row["quantity"] == quantity and row["condition"] == c and row["counting"] == "all"
@@ -151,12 +157,12 @@ def test_both_cues_meet_the_same_random_numbers() -> None:
     """With them the shift is the planted one in every rollout; without, idling blurs it."""
     policy = PreyRests(4, 0.3)
     common = answers(policy, 0, policy.seed)
-    lengths = [path_lengths(r)[:, :2] for r in (common.factual, common.flipped)]
-    sign = np.where(starts().condition[common.factual.demo] == 0, 1.0, -1.0)
+    lengths = [path_lengths(r)[:, :2] for r in common.values()]
+    sign = np.where(starts().condition[common[of.FACTUAL].demo] == 0, 1.0, -1.0)
     shift = (lengths[1] - lengths[0]) * sign[:, None]
     assert np.abs(shift - planted(4)).max() < 1e-9
     apart = answers(policy, 0)
-    lengths = [path_lengths(r)[:, :2] for r in (apart.factual, apart.flipped)]
+    lengths = [path_lengths(r)[:, :2] for r in apart.values()]
     assert np.ptp((lengths[1] - lengths[0]) * sign[:, None]) > 0.1
 
 
@@ -179,11 +185,11 @@ def test_an_effect_that_all_seeds_share_is_claimed() -> None:
 
 def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
     one = answers(PreyRests(4, 0.2), 0)
-    effects = cue_effects({"DQCIL": Asked(trained=one)}, starts(), planned=(0, 1), resamples=200)
-    assert not effects.claims["worded"].any()
-    rows = effects.table[effects.table["quantity"] == of.PREDICTED]
+    found = effects({"DQCIL": one}, planned=(0, 1), resamples=200)
+    assert not found.claims["worded"].any()
+    rows = found.table[found.table["quantity"] == of.PREDICTED]
     assert (rows["covers"] == "this network only").all()
-    missing = effects.table[effects.table["value"].isna()]
+    missing = found.table[found.table["value"].isna()]
     assert len(missing) and (missing["reason"] != "").all()
     assert set(missing.loc[missing["quantity"] == of.TRUE, "reason"]) == {of.NO_TRUTH}
 
@@ -191,11 +197,11 @@ def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
 def test_who_acts_without_chance_has_no_shift_by_chance() -> None:
     """Zero with an interval of no width would look like a null that was measured."""
     certain, chancy = answers(PreyRests(4), 0), answers(PreyRests(4, 0.2), 0)
-    same = Answers(certain.factual, certain.factual)
-    apart = Answers(chancy.factual, answers(PreyRests(4, 0.2, 1), 0).factual)
-    for blind, known in ((same, False), (apart, True)):
-        asked = {"DQCIL": Asked(trained=certain, blind=blind)}
-        row = value(cue_effects(asked, starts(), resamples=200), of.BLIND, 0)
+    others = answers(PreyRests(4, 0.2, 1), 0)
+    for first, second, known in ((certain, certain, False), (chancy, others, True)):
+        blind = {of.ZEROED + of.FACTUAL: first[of.FACTUAL],
+                 of.ZEROED + of.FLIPPED: second[of.FACTUAL]}  # fmt: skip
+        row = value(effects({"DQCIL": certain | blind}, resamples=200), of.BLIND, 0)
         assert np.isfinite(row["value"]) == known
         assert row["reason"] == (
             "" if known else "it acts without chance: asked twice, it does the same"
@@ -204,8 +210,7 @@ def test_who_acts_without_chance_has_no_shift_by_chance() -> None:
 
 def test_errors_of_the_two_learners_are_paired() -> None:
     first, second = (joined([answers(PreyRests(k + s), s) for s in range(2)]) for k in (3, 4))
-    asked = {"DQCIL-PT": Asked(trained=first), "DQDIL-PT": Asked(trained=second)}
-    table = cue_effects(asked, starts(), resamples=SMALL).table
+    table = effects({"DQCIL-PT": first, "DQDIL-PT": second}).table
     rows = table[table["quantity"] == of.ERROR_DIFFERENCE]
     assert set(rows["method"]) == {"DQCIL-PT - DQDIL-PT"}
     errors = table[(table["quantity"] == of.ERROR) & (table["counting"] == "all")]
