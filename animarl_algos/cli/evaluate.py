@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.table import Table
 from typer import Option
 
 from animarl_algos.cli.shared import PlainConsole, command_line, helps, load
@@ -17,8 +16,6 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from animarl_algos.runs.run import Run
     from animarl_algos.whatif.answer import Answer
 
@@ -218,13 +215,14 @@ def whatif_command(
 
       animarl whatif runs/both --change condition=shared --permutations 20
     """
+    from animarl_algos.report.verdict_section import terminal_table
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
     from animarl_algos.whatif.answer import ask
-    from animarl_algos.whatif.answer_page import save_answers
+    from animarl_algos.whatif.answer_page import save_answers, unchanged_table
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
 
-    console, change = PlainConsole(), change or []
+    console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
     nulls: list[Run] = []
     if permutations:
@@ -248,7 +246,9 @@ def whatif_command(
         repetitions=repetitions,
         reading="knows" if knows else "habit",
         separately=separately,
-        on_baseline=lambda table: _print_unchanged(console, table),
+        on_baseline=lambda table: console.print(
+            terminal_table(unchanged_table(table), "unchanged world", wrapped=True)
+        ),
         on_answer=lambda answer: _print(console, answer),
     )
     save_answers(found, out, command=command_line(), versions=versions())
@@ -282,35 +282,11 @@ def page_command(run: Path, out: Path = Path("what-if.html"), species: str | Non
     PlainConsole().print(f"{file}: open it in a browser")
 
 
-def _print_unchanged(console: PlainConsole, unchanged: pd.DataFrame) -> None:
-    """Print how far the unchanged simulation is from the recordings, before any answer is ready."""
-    table = _table("unchanged world", "recorded", "baseline", "gap")
-    for _, row in unchanged.iterrows():
-        numbers = (f"{row['recorded']:.3g}", f"{row['baseline']:.3g}", f"{row['gap']:+.3g}")
-        table.add_row(f"{row['quantity']} [{row['unit']}]", *numbers)
-    console.print(table)
-
-
 def _print(console: PlainConsole, answer: Answer) -> None:
     """Print one answer as it is ready."""
-    from animarl_algos.whatif.answer_page import asides
+    from animarl_algos.report.verdict_section import terminal_table
+    from animarl_algos.whatif.answer_page import answer_table, asides
 
-    table = _table(answer.scenario.name, "recorded", "baseline", "changed")
-    table.add_column("shift [95 % interval]")
-    for _, row in answer.table.iterrows():
-        table.add_row(
-            row["quantity"], *(f"{row[key]:.3g}" for key in ("recorded", "baseline", "changed")),
-            f"{row['shift']:+.3g} [{row['low']:.3g}, {row['high']:.3g}] {row['unit']}",
-            style="" if row["finding"] else "dim",
-        )  # fmt: skip
-    console.print(table)
+    console.print(terminal_table(answer_table(answer), answer.scenario.name, wrapped=True))
     for sentence in asides(answer):
         console.print(sentence, style=COLOURS[answer.warning])
-
-
-def _table(title: str, *numbers: str) -> Table:
-    table = Table(title=title, title_justify="left", box=None)
-    table.add_column("quantity", no_wrap=True)
-    for column in numbers:
-        table.add_column(column, justify="right")
-    return table

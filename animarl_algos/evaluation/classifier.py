@@ -32,7 +32,6 @@ from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKN
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import Tracking
 
 FEWEST_STEPS = 4  # of a window, where decisions are slow
@@ -459,11 +458,6 @@ def _compare(
 
 def followed(demos: Demonstrations, tracking: Tracking) -> Rollouts:
     """The demonstrations as tracking follows them, on the grid on which positions were stored."""
-    if tracking.positions.shape != demos.positions.shape:
-        raise InputError(
-            f"the tracking has shape {tracking.positions.shape} and the demonstrations "
-            f"{demos.positions.shape}: track the evaluated ones"
-        )
     stored = rounded(tracking.positions, demos.resolution())
     return replace(Rollouts.from_demonstrations(demos), positions=stored)
 

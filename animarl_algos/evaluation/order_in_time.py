@@ -233,7 +233,7 @@ def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[
     acceleration = np.diff(speed, axis=1) / dt
     yield "speed", _mean(speed)
     yield "spread of speed", _spread(speed)
-    yield "share at rest", _share(~series.moving, np.isfinite(speed))
+    yield "share at rest", _mean(np.where(np.isfinite(speed), ~series.moving, np.nan))
     yield "turning", _mean(np.abs(turn)) / dt
     yield "turning to the left", _mean(turn) / dt
     yield "skewness of acceleration", _skewness(acceleration)
@@ -323,8 +323,8 @@ def _places(series: Series, arena: Arena, has_goal: bool) -> Iterator[tuple[str,
     name = "distance from the source" if arena.shape == "open" else "distance from the wall"
     yield name, _mean(wall)
     if arena.shape != "open":
-        at_wall = wall < NEAR_WALL * arena.size
-        yield "share at the wall", _share(at_wall, np.isfinite(wall))
+        at_wall = np.where(np.isfinite(wall), wall < NEAR_WALL * arena.size, np.nan)
+        yield "share at the wall", _mean(at_wall)
 
 
 def distance_to_edge(points: Floats, arena: Arena) -> Floats:
@@ -352,11 +352,6 @@ def _gained(series: Floats) -> Floats:
     before, after = (_mean(np.where(late == side, series, np.nan)) for side in (False, True))
     mean = _mean(series)
     return np.asarray((after - before) / np.where(mean > 0, mean, np.nan))
-
-
-def _share(true: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
-    count = defined.sum(axis=1)
-    return np.asarray((true & defined).sum(axis=1) / np.where(count, count, np.nan))
 
 
 def _skewness(series: Floats) -> Floats:

@@ -23,7 +23,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.demos.summary import RESTING_SHARE, Unit, unit_of
 from animarl_envs.dtw import dtw_alignment
-from animarl_envs.errors import InputError
 
 REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
 WINDOW = 2.0  # [s]
@@ -163,8 +162,6 @@ def smoothed(positions: Floats, lengths: Ints, frames: int) -> Floats:
     errors that grow with the size of the set, by which a classifier tells a large set from a small
     one.)
     """
-    if frames < 1 or frames % 2 == 0:
-        raise InputError(f"smoothing is over {frames} frames: give an odd number, 1 for none")
     if frames == 1:
         return np.asarray(positions)
     ends = np.cumsum(lengths)

@@ -7,7 +7,7 @@ added here is put on the page by a ``Gallery`` of :mod:`animarl_algos.report.run
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -82,11 +82,14 @@ def interval_rows(
     label: Callable[[str], str] = str,
     colours: Mapping[str, str] | None = None,
     values: Mapping[str, ArrayLike] | None = None,
+    band: float = 0.0,
+    hollow: Collection[str] = (),
 ) -> Figure:
     """Draw one row per method, an estimate with its interval, and a dashed line at ``reference``.
 
     ``colours`` go over those of the recipes. ``values`` are one per rollout that counts, by method:
-    then a density stands above each row, and every rollout below it.
+    then a density stands above each row, and every rollout below it. A ``band`` of that half width
+    lies about the reference; dots of ``hollow`` rows are empty.
     """
     names, found = list(means), {k: np.asarray(v, np.float64) for k, v in (values or {}).items()}
     height = 0.8 + (0.36 if values is None else ROW_HEIGHT) * len(names)
@@ -104,12 +107,15 @@ def interval_rows(
                 panel.plot(ends, [base, base], color=ground, linewidth=4.2, zorder=3)
                 panel.plot(ends, [base, base], color=colour, linewidth=2.2, zorder=3.1)
             if np.isfinite(value.estimate):
+                face, edge = (ground, colour) if name in hollow else (colour, ground)
                 panel.plot(
-                    value.estimate, base, "o", color=colour, markersize=6.2, markeredgecolor=ground,
+                    value.estimate, base, "o", color=face, markersize=6.2, markeredgecolor=edge,
                     markeredgewidth=1.2, zorder=3.2,
                 )  # fmt: skip
         if reference is not None and np.isfinite(reference):
             panel.axvline(reference, **REFERENCE)
+        if reference is not None and band:
+            panel.axvspan(reference - band, reference + band, color=style.LINE.hex, lw=0, zorder=0)
         panel.set_yticks(range(len(names)), [label(name) for name in reversed(names)])
         panel.tick_params(axis="y", length=0)
         panel.spines["left"].set_visible(False)

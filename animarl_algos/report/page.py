@@ -99,17 +99,21 @@ def tabulate(
     *,
     strong: Callable[[Any], bool] = lambda row: False,
     faint: Callable[[Any], bool] = lambda row: False,
+    hatched: Callable[[Any], bool] = lambda row: False,
     **options: Any,
 ) -> Table:
     """Return a table of things: each column says what it writes of one; empty groups are left out.
 
-    Of a data frame the things are its rows. ``strong`` and ``faint`` say of which the row is so;
-    ``options`` are those of :class:`Table`.
+    Of a data frame the things are its rows. ``strong``, ``faint`` and ``hatched`` say of which the
+    row is so; ``options`` are those of :class:`Table`.
     """
     made = []
     for title, given in groups:
         things = [row for _, row in given.iterrows()] if hasattr(given, "iterrows") else given
-        rows = [Row([c(one) for c in columns.values()], strong(one), faint(one)) for one in things]
+        rows = [
+            Row([write(one) for write in columns.values()], strong(one), faint(one), hatched(one))
+            for one in things
+        ]
         made.append(Group(title, rows))
     return Table(label, list(columns), [one for one in made if one.rows], caption, **options)
 

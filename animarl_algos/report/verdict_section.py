@@ -278,21 +278,21 @@ def comparison_as_table(
 def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
     """Return the verdict for the terminal."""
     table = verdict_as_table(verdict, words)
-    return _terminal_table(table, verdict_sentence(verdict, words), wrapped=True)
+    return terminal_table(table, verdict_sentence(verdict, words), wrapped=True)
 
 
 def evaluation_table(evaluation: Evaluation, words: Words = DEMONSTRATED) -> TerminalTable:
     """Return the comparison for the terminal."""
     table = comparison_as_table(evaluation, words, ["all"])
     title = words.say(f"Simulated against recorded, {COUNTING['all']}")
-    return _terminal_table(table, title, wrapped=False)
+    return terminal_table(table, title, wrapped=False)
 
 
-def _terminal_table(table: Table, title: str, *, wrapped: bool) -> TerminalTable:
+def terminal_table(table: Table, title: str, *, wrapped: bool) -> TerminalTable:
     """Return a table of one group for the terminal.
 
-    Columns of words may be wrapped, and rows that are not faint are bold; where they are not,
-    intervals stand below means.
+    Columns of words may be wrapped, and rows are bold or faint; where they are not, intervals stand
+    below means.
     """
     made = TerminalTable(
         title=Text(title), caption=Text(table.caption), box=SIMPLE_HEAD, padding=(0, 1)
@@ -303,5 +303,5 @@ def _terminal_table(table: Table, title: str, *, wrapped: bool) -> TerminalTable
         made.add_column(heading, justify="left" if left else "right", no_wrap=i >= words)
     for row in table.groups[0].rows:
         cells = row.cells if wrapped else [cell.replace(" [", "\n[") for cell in row.cells]
-        made.add_row(*map(Text, cells), style="bold" if wrapped and not row.faint else "")
+        made.add_row(*map(Text, cells), style=("dim" if row.faint else "bold") if wrapped else "")
     return made

@@ -35,6 +35,7 @@ from animarl_envs.worlds.chase.world import ChaseWorld
 FARTHEST = 0.95  # quantile of the distances of pursuers from the target in training
 BEYOND = 1.05  # times the distance of the nearest: at its own distance rounding would order the two
 ASIDE = np.deg2rad(20.0)  # exactly behind somebody nobody ever was: that alone would be new
+observe_all = jit(getattr(senses.observe, "py_func", senses.observe))  # a part, called from Python
 
 
 @dataclass(frozen=True)
@@ -236,15 +237,3 @@ class SubsetPolicy(WrappedPolicy):
     def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
         inner = getattr(self.policy, "leave_out", None)
         return state if inner is None else inner(state, self._for_all(over))
-
-
-@jit
-def observe_all(  # type: ignore[no-untyped-def]
-    position, velocity, acceleration, past, steps, towards, bodies, neighbours, scales, free,
-    headed, full, observation,
-):  # fmt: skip
-    """What :func:`animarl_envs.worlds.chase.senses.observe` writes, for a caller in Python."""
-    senses.observe(
-        position, velocity, acceleration, past, steps, towards, bodies, neighbours, scales, free,
-        headed, full, observation,
-    )  # fmt: skip

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.order_in_time import nearest_other
@@ -29,9 +29,6 @@ from animarl_envs.scenario import Scenario as World
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +58,9 @@ class TrainedRun(Protocol):
     @property
     def told_condition(self) -> bool: ...
 
-    def simulate(self, **options: Any) -> Rollouts: ...
+    def starting_from(self, split: str | None, *more: Any, **options: Any) -> World: ...
+
+    def roll_out(self, *given: Any, **options: Any) -> Rollouts: ...
 
 
 @dataclass(frozen=True)
@@ -137,13 +136,7 @@ class WhatIf:
     @property
     def table(self) -> pd.DataFrame:
         """All answers, one row per scenario and quantity."""
-        import pandas as pd
-
         return pd.concat([answer.table for answer in self.answers], ignore_index=True)
-
-    def quantities(self) -> Iterator[Quantity]:
-        """Yield what is asked of every answer."""
-        return quantities_of(self.species, unit_of(self.demos))
 
 
 def ask(
@@ -205,7 +198,7 @@ def ask(
     for scenario in scenarios:
         _check(scenario, first, unit)
     asker, *nulls = (
-        _Asker(tuple(some), unit, repetitions, reading, seed)
+        _Asker(some, unit, repetitions, reading, seed)
         for some in (runs, *([run] for run in permuted))
     )
     if on_baseline is not None:
@@ -238,109 +231,90 @@ class _Asker:
     """Simulates baseline and scenarios once each, and compares them."""
 
     def __init__(
-        self,
-        runs: tuple[TrainedRun, ...],
-        unit: Unit,
-        repetitions: int,
-        reading: Reading,
-        seed: int,
+        self, runs: Sequence[TrainedRun], unit: Unit, repetitions: int, reading: Reading, seed: int
     ) -> None:
         self.runs, self.unit, self.repetitions = runs, unit, repetitions
         self.reading, self.seed = reading, seed
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
-        self.usual = self.usual_inputs = np.zeros(0)  # of the absent, once it is known
-        self.baseline, self.usual, self.usual_inputs = self._simulate({}, Scenario(()), "habit")
+        self.baseline, *self.usual = self._simulate(Scenario(()), {}, "habit")
         self.quantities = list(quantities_of(self.species, unit))
 
     def answer(self, scenario: Scenario, nulls: Sequence[_Asker] = ()) -> Answer:
         """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
         thrusts = self._thrusts(scenario)
         options = scenario.options(self.species, self.unit, thrusts)
-        changed, beyond, inputs = self._simulate(options, scenario, self.reading)
+        changed, *beyond = self._simulate(scenario, options, self.reading)
         other = None
         if scenario.moves_bodies:
             reading: Reading = "knows" if self.reading == "habit" else "habit"
-            other = self._simulate(options, scenario, reading)[0]
-        rows = list(self._rows(scenario, changed, other))
-        warning, reason = self._warning(beyond, inputs, rows)
-        null = np.array([one.shifts(scenario) for one in nulls] or [[np.nan] * len(rows)])
-        low, high = np.nanquantile(null, [0.025, 0.975], axis=0) if nulls else null[[0, 0]]
-        p = share_as_large(np.array([row["shift"] for row in rows]), null) if nulls else null[0]
-        for column, row in enumerate(rows):
-            row["beyond"] = float((beyond - self.usual).max())
-            row |= {"null_low": low[column], "null_high": high[column], "p": p[column]}
-            row["warning"] = warning
-            cue = scenario.condition is not None and not self.species.condition_is_sensed
-            row["judged"] = judge(row, of_a_cue=cue)
-            row["finding"] = row["judged"] in (RISES, FALLS)
-        import pandas as pd
-
+            other = self._simulate(scenario, options, reading)[0]
+        table = pd.DataFrame(self._rows(scenario, changed, other))
+        more, inputs = (now - usual for now, usual in zip(beyond, self.usual))
+        warning, reason = self._warning(more, inputs, table)
+        low = high = p = np.full(len(table), np.nan)
+        if nulls:
+            null = np.array([one.shifts(scenario) for one in nulls])
+            low, high = np.nanquantile(null, [0.025, 0.975], axis=0)
+            p = share_as_large(table["shift"].to_numpy(), null)
+        table = table.assign(
+            beyond=np.nanmax(more), null_low=low, null_high=high, p=p, warning=warning
+        )
+        cue = scenario.condition is not None and not self.species.condition_is_sensed
+        table["judged"] = [judge(row, of_a_cue=cue) for row in table.to_dict("records")]
+        table["finding"] = table["judged"].isin((RISES, FALLS))
         species = change_world(self.species, **options)
         if scenario.removed:
             species = Present.without(species, scenario.removed).species
-        table = pd.DataFrame(rows)
         return Answer(scenario, table, warning, reason, thrusts, changed, species)
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world."""
-        import pandas as pd
-
-        rows = self._rows(Scenario(()), self.baseline, None)
-        columns = ["quantity", "unit", "recorded", "baseline", "gap"]
-        return pd.DataFrame(list(rows))[columns]
+        table = pd.DataFrame(self._rows(Scenario(()), self.baseline, None))
+        return table[["quantity", "unit", "recorded", "baseline", "gap"]]
 
     def shifts(self, scenario: Scenario) -> list[float]:
         """Return the shift of each quantity."""
         options = scenario.options(self.species, self.unit)
-        changed = self._simulate(options, scenario, self.reading)[0]
+        changed = self._simulate(scenario, options, self.reading)[0]
         return [row["shift"] for row in self._rows(scenario, changed, None)]
 
     def _simulate(
         self,
-        options: Mapping[str, Any],
         scenario: Scenario,
+        options: Mapping[str, Any],
         reading: Reading,
         repetitions: int | None = None,
     ) -> tuple[Rollouts, Floats, Floats]:
-        """Rollouts of all runs, and shares of inputs beyond their range."""
+        """Rollouts of all runs, and shares of inputs beyond their range; NaN of the absent."""
         parts: list[Rollouts] = []
-        beyond: list[Floats] = []
-        inputs: list[Floats] = []
-        condition, names = scenario.condition, self.species.individuals
+        names = self.species.individuals
+        moved = scenario.moved(self.test, change_world(self.species, **options))
         there = [i for i, name in enumerate(names) if name not in scenario.removed]
-        for run, ranges in zip(self.runs, self.ranges):
-            watched: list[WatchedPolicy] = []
-
-            def wrap(policy: Any, ranges: InputRange = ranges, into: Any = watched) -> Any:
-                into.append(WatchedPolicy(policy, ranges.of_individuals(there)))
-                return into[-1]
-
-            cue: dict[str, Any] = {}
-            if condition is not None:
-                index = self.species.conditions.index(condition)
-                cue = {"condition": index} if self.species.condition_is_sensed else {"told": index}
-            simulate: Callable[..., Rollouts] = run.simulate
-            if scenario.removed or scenario.starts:
-                moved = scenario.moved(self.test, change_world(self.species, **options))
-                simulate = partial(simulate_from, run, moved, scenario.removed)
+        cue: dict[str, Any] = {}
+        if scenario.condition is not None:
+            index = self.species.conditions.index(scenario.condition)
+            cue = {"condition" if self.species.condition_is_sensed else "told": index}
+        size = len(self.ranges[0].words)
+        beyond = np.full((len(self.runs), len(names)), np.nan)
+        inputs = np.full((len(self.runs), len(names), size), np.nan)
+        for number, (run, ranges) in enumerate(zip(self.runs, self.ranges)):
+            watched = WatchedPolicy(run.policy, ranges.of_individuals(there))
             parts.append(
-                simulate(
+                simulate_from(
+                    run,
+                    moved,
+                    scenario.removed,
                     repetitions=repetitions or self.repetitions,
                     reading=reading,
-                    wrap=wrap,
+                    wrap=watched.around,
                     **cue,
                     **options,
                 )
             )
-            for found, own, usual in zip(
-                (beyond, inputs), watched[0].shares(), (self.usual, self.usual_inputs), strict=True
-            ):
-                whole = usual.copy() if scenario.removed else own
-                whole[there] = own
-                found.append(whole)
-        return Rollouts.concatenate(parts), np.mean(beyond, axis=0), np.mean(inputs, axis=0)
+            beyond[number, there], inputs[number, there] = watched.shares()
+        return Rollouts.concatenate(parts), beyond.mean(axis=0), inputs.mean(axis=0)
 
     def _thrusts(self, scenario: Scenario) -> dict[str, float]:
         """Find by simulation the thrusts at which wanted speeds are achieved."""
@@ -359,7 +333,7 @@ class _Asker:
             factors[name] = float(np.clip(target / start[name], *THRUST_LIMITS))
         for _ in range(MOST_TRIES):
             options = scenario.options(self.species, self.unit, factors)
-            achieved = _speeds(self._simulate(options, scenario, self.reading, TRY_REPETITIONS)[0])
+            achieved = _speeds(self._simulate(scenario, options, self.reading, TRY_REPETITIONS)[0])
             miss = {n: np.log(wanted[n] / achieved[n]) for n in wanted}
             if all(abs(one) <= CLOSE_ENOUGH for one in miss.values()):
                 return factors
@@ -378,6 +352,7 @@ class _Asker:
         self, scenario: Scenario, changed: Rollouts, other: Rollouts | None
     ) -> Iterator[dict[str, Any]]:
         """One row per quantity."""
+        covers = "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
         counts = np.ones(len(changed), dtype=bool)
         if scenario.condition is not None:
             index = self.species.conditions.index(scenario.condition)
@@ -402,14 +377,9 @@ class _Asker:
                 "scenario": scenario.name, "quantity": quantity.name, "unit": quantity.unit,
                 "recorded": true, "baseline": baseline, "changed": baseline + shift.estimate,
                 "shift": shift.estimate, "low": shift.low, "high": shift.high,
-                "gap": baseline - true, "covers": self.covers, "other_reading": further,
+                "gap": baseline - true, "covers": covers, "other_reading": further,
                 "seeds_low": seeds.min(), "seeds_high": seeds.max(),
             }  # fmt: skip
-
-    @property
-    def covers(self) -> str:
-        """What intervals speak of."""
-        return "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
 
     def _mean(self, rollouts: Rollouts, values: Floats, counts: NDArray[np.bool_]) -> Interval:
         return mean_over_starts(
@@ -421,29 +391,20 @@ class _Asker:
             counts=counts,
         )
 
-    def _warning(
-        self, beyond: Floats, inputs: Floats, rows: Sequence[Mapping[str, Any]]
-    ) -> tuple[str, str]:
+    def _warning(self, more: Floats, inputs: Floats, table: pd.DataFrame) -> tuple[str, str]:
         """How far to trust an answer, in a word and in a sentence."""
-        more = beyond - self.usual
-        worst = int(np.argmax(more))
+        worst = int(np.nanargmax(more))
         reasons, word = [], Caution.NONE
         if more[worst] > YELLOW:
             word = Caution.RED if more[worst] > RED else Caution.SOME
-            which = int(np.argmax(inputs[worst] - self.usual_inputs[worst]))
             reasons.append(
                 f"in {more[worst]:.0%} more steps than usual {self.species.individuals[worst]} "
                 "perceives what it never did in training: most often, "
-                f"{self.ranges[0].what(worst, which)}"
+                f"{self.ranges[0].what(worst, int(np.argmax(inputs[worst])))}"
             )
-        turned = [
-            str(row["quantity"])
-            for row in rows
-            if np.isfinite(row["other_reading"])
-            and (row["low"] > 0 or row["high"] < 0)
-            and row["other_reading"] * row["shift"] < 0
-        ]
-        if turned:
+        clear = (table["low"] > 0) | (table["high"] < 0)
+        turned = table.loc[clear & (table["other_reading"] * table["shift"] < 0), "quantity"]
+        if len(turned):
             word = Caution.RED if word == Caution.RED else Caution.SOME
             reasons.append(
                 f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
@@ -451,7 +412,7 @@ class _Asker:
         return word, "; ".join(reasons)
 
 
-def judge(row: Mapping[str, Any], of_a_cue: bool) -> str:
+def judge(row: Mapping[Any, Any], of_a_cue: bool) -> str:
     """Return what a shift is, in a few words: :data:`RISES`, :data:`FALLS`, or why it is neither.
 
     Recordings of two conditions differ by chance too, and policies learn that. So the shift of a
@@ -538,8 +499,12 @@ def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
     def seconds(rollouts: Rollouts) -> Floats:
         return np.asarray((rollouts.lengths - 1) * rollouts.dt)
 
-    def paths(rollouts: Rollouts) -> Floats:
-        return np.asarray(scale * path_lengths(rollouts)[:, rollouts.movers].mean(axis=1))
+    def speeds(rollouts: Rollouts) -> Floats:
+        length = scale * path_lengths(rollouts)
+        return np.asarray(length / np.maximum(seconds(rollouts), rollouts.dt)[:, None])
+
+    def speed_of(index: int) -> Callable[[Rollouts], Floats]:
+        return lambda rollouts: speeds(rollouts)[:, index]
 
     def mean_of(apart: Floats, rollouts: Rollouts) -> Floats:
         starts = rollouts.offsets[:-1]
@@ -549,29 +514,20 @@ def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
         apart = distances_to_target(rollouts.positions, rollouts.roles).min(axis=1)
         return mean_of(apart, rollouts)
 
-    def speed_of(index: int) -> Callable[[Rollouts], Floats]:
-        def speed(rollouts: Rollouts) -> Floats:
-            length = path_lengths(rollouts)[:, index]
-            return np.asarray(scale * length / np.maximum(seconds(rollouts), rollouts.dt))
-
-        return speed
-
     def nearest(rollouts: Rollouts) -> Floats:
         apart = np.linalg.norm(nearest_other(rollouts.positions), axis=-1).mean(axis=1)
         return mean_of(apart, rollouts)
 
-    def all_speeds(rollouts: Rollouts) -> Floats:
-        each = [speed_of(i)(rollouts) for i in range(len(of.individuals))]
-        return np.asarray(np.mean(each, axis=0))
-
     if is_free(of.roles):  # nothing is reached, and only the film ends
-        yield Quantity("speed", f"{name}/s", all_speeds)
+        yield Quantity("speed", f"{name}/s", lambda made: speeds(made).mean(axis=1))
         if len(of.individuals) > 1:
             yield Quantity("nearest neighbour", name, nearest)
         return
-    yield Quantity("reached", "share", lambda rollouts: rollouts.captured.astype(np.float64))
+    yield Quantity("reached", "share", lambda made: made.captured.astype(np.float64))
     yield Quantity("duration", "s", seconds)
-    yield Quantity("path length", name, paths)
+    yield Quantity(
+        "path length", name, lambda made: scale * path_lengths(made)[:, made.movers].mean(axis=1)
+    )
     yield Quantity("mean distance", name, closest)
     for index, individual in enumerate(of.individuals):
         yield Quantity(f"speed of {individual}", f"{name}/s", speed_of(index))

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animarl_algos.evaluation.comparison import write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.report import page, player, style
+from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance, to_paste
-from animarl_algos.report.style import figure_style, to_image
+from animarl_algos.report.style import Image, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
-from animarl_algos.whatif.answer import Answer, WhatIf
+from animarl_algos.whatif.answer import Answer, WhatIf, quantities_of
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
+from animarl_envs.demos.summary import unit_of
+from animarl_envs.drawing import markdown_table
 from animarl_envs.files import all_files_or_none
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 WHAT_IT_IS = (
     "The same behaviour in another world: nobody learns, and nobody adapts. A thrust is not a "
@@ -74,14 +75,11 @@ def words(found: WhatIf) -> str:
     """Return what was found as Markdown to paste."""
     lines = ["# What if", "", what_it_is(found), ""]
     for answer in found.answers:
+        table = answer_table(answer)
         lines += [f"## {answer.scenario.name}", ""]
         lines += [f"{sentence}\n" for sentence in asides(answer)]
-        lines += ["| quantity | recorded | baseline | changed | shift |", "|---|---|---|---|---|"]
-        for _, row in answer.table.iterrows():
-            numbers = [f"{row[key]:.3g}" for key in ("recorded", "baseline", "changed")]
-            shift = f"{row['shift']:+.3g} [{row['low']:.3g}, {row['high']:.3g}] {row['unit']}"
-            p = f", p = {row['p']:.3g}" if row["p"] == row["p"] else ""
-            lines.append(f"| {row['quantity']} | {' | '.join(numbers)} | {shift}{p} |")
+        columns = [column.replace("\n", " ") for column in table.columns]
+        lines.append(markdown_table(columns, (row.cells for row in table.groups[0].rows)))
         lines += ["", *(f"- {sentence}" for sentence in findings(answer)), ""]
     return "\n".join([*lines, WARNINGS, ""])
 
@@ -116,6 +114,13 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
     inputs = PageInputs(
         demos=found.demos, species=found.species, command=command, versions=versions
     )
+    shifts = answer_table(
+        *found.answers,
+        recorded=inputs.recorded,
+        caption="Means over starts. Grey: no finding, because the shift is not clear of zero, "
+        "smaller than the gap, or as large with permuted conditions (p). Hatched: behind a red "
+        "warning.",
+    )
     names = [answer.scenario.name for answer in found.answers]
     said = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in found.answers]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
@@ -136,7 +141,7 @@ def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = 
         player=_player(found, inputs),
         sections=[
             page.Section("short", "In short", list(_in_short(found))),
-            page.Section("shifts", "Shifts", [_shift_table(found, inputs)]),
+            page.Section("shifts", "Shifts", [shifts]),
             page.Section("figures", "Figures", [_figures(found)]),
             page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
             page.Section("paste", "To paste", list(to_paste(inputs, [what_it_is(found), *said]))),
@@ -167,94 +172,83 @@ def _in_short(found: WhatIf) -> Iterator[page.Block]:
     yield page.Text(WARNINGS)
 
 
-def _shift_table(found: WhatIf, inputs: PageInputs) -> page.Table:
-    columns = ["Quantity", inputs.recorded, UNCHANGED, "changed", "Shift [95 % interval]"]
-    columns += [f"Gap: {UNCHANGED}\n{MINUS} {inputs.recorded}", "Shift is"]
-    return page.Table(
+def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") -> page.Table:
+    """Return one row per quantity of each answer, what is no finding faint."""
+    return page.tabulate(
         "Shifts",
-        list(map(capitalised, columns)),
-        [
-            page.Group(answer.scenario.name, [_row(row) for _, row in answer.table.iterrows()])
-            for answer in found.answers
-        ],
-        "Means over starts. Grey: no finding, because the shift is not clear of zero, smaller than "
-        "the gap, or as large with permuted conditions (p). Hatched: behind a red warning.",
+        {
+            **_means(recorded),
+            "Changed": lambda row: number(_factor(row) * row["changed"]),
+            "Shift [95 % interval]": lambda row: with_interval(
+                scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))
+            ),
+            "Shift is": lambda row: (
+                row["judged"] + (f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else "")
+            ),
+        },
+        [(answer.scenario.name, answer.table) for answer in answers],
+        caption,
+        faint=lambda row: not row["finding"],
+        hatched=lambda row: row["warning"] == Caution.RED,
     )
 
 
-def _row(row: pd.Series) -> page.Row:
-    percent = row["unit"] == "share"
-    cells = [f"{row['quantity']} ({'%' if percent else row['unit']})"]
-    factor = 100.0 if percent else 1.0
-    cells += [number(factor * row[key]) for key in ("recorded", "baseline", "changed")]
-    shift = scaled(Interval(row["shift"], row["low"], row["high"]), factor)
-    p = f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else ""
-    cells += [with_interval(shift), number(factor * row["gap"]), row["judged"] + p]
-    red = row["warning"] == Caution.RED
-    return page.Row(cells, faint=not row["finding"], hatched=red)
+def unchanged_table(table: pd.DataFrame) -> page.Table:
+    """Return how far the unchanged simulation is from the recordings."""
+    return page.tabulate("Unchanged", _means(RECORDED), [("", table)], "")
+
+
+def _means(recorded: str) -> dict[str, Callable[[pd.Series], str]]:
+    """Columns of a quantity without any change."""
+
+    def told(key: str) -> Callable[[pd.Series], str]:
+        return lambda row: number(_factor(row) * row[key])
+
+    return {
+        "Quantity": lambda row: f"{row['quantity']} ({'%' if _factor(row) > 1 else row['unit']})",
+        capitalised(recorded): told("recorded"),
+        capitalised(UNCHANGED): told("baseline"),
+        f"Gap: {UNCHANGED}\n{MINUS} {recorded}": told("gap"),
+    }
+
+
+def _factor(row: pd.Series) -> float:
+    return 100.0 if row["unit"] == "share" else 1.0
 
 
 # -- figures --------------------------------------------------------------------------------------
 
 
 def _figures(found: WhatIf) -> page.Gallery:
-    images = [to_image(_shift_figure(found.table), "Shift of every quantity by change")]
+    images = list(_shift_images(found.table))
     caption = (
-        "Shift of every quantity with its 95 % interval. Grey: within the gap between the "
-        "unchanged simulation and the recordings. Hollow: behind a warning; hatched: a red one."
+        "Shift of every quantity with its 95 % interval. The band is the gap between the unchanged "
+        "simulation and the recordings. Grey: no finding. Hollow: behind a warning."
     )
     doses = _doses(found)
     if doses is not None:
-        images.append(to_image(_dose_figure(found, *doses), f"Dose and response: {doses[0]}"))
+        images += _dose_images(found.table, *doses)
         caption += " Dose and response: changed means over the amount of the change, with the "
         caption += "interval of their shift; dashed: recorded."
     return page.Gallery(images, caption)
 
 
-def _grid(count: int, width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    columns = min(3, count)
-    rows = -(-count // columns)
-    figure, axes = style.new_figure(width * columns + 1.2, height * rows, rows, columns)
-    axes = np.atleast_1d(axes).ravel()
-    for axis in axes[count:]:
-        axis.set_axis_off()
-    return figure, axes
-
-
-def _shift_figure(table: pd.DataFrame) -> Figure:
+def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
     """One panel per quantity, one row per scenario."""
-    quantities = list(dict.fromkeys(table["quantity"]))
-    scenarios = list(dict.fromkeys(table["scenario"]))
-    with figure_style():
-        figure, axes = _grid(len(quantities), 2.6, 0.9 + 0.24 * len(scenarios))
-        for k, (axis, quantity) in enumerate(zip(axes, quantities)):
-            chosen = table[table["quantity"] == quantity].set_index("scenario")
-            gap = abs(float(chosen["gap"].iloc[0]))
-            axis.axvspan(-gap, gap, facecolor=style.LINE.hex, linewidth=0, zorder=0)
-            axis.axvline(0.0, color=style.MUTED.hex, linewidth=0.7)
-            for place, scenario in enumerate(scenarios):
-                if scenario not in chosen.index:  # of somebody who is removed in it
-                    continue
-                row = chosen.loc[scenario]
-                if row["warning"] == Caution.RED:
-                    axis.axhspan(
-                        place - 0.4, place + 0.4, facecolor="none", edgecolor=style.STONE.hex,
-                        hatch="////", linewidth=0, zorder=0.5,
-                    )  # fmt: skip
-                colour = style.BLUE.hex if row["finding"] else style.MUTED.hex
-                axis.plot([row["low"], row["high"]], [place] * 2, color=colour, linewidth=1.6)
-                axis.plot(row["shift"], place, "o", **_dot(row, colour))
-            axis.set_yticks(range(len(scenarios)), scenarios if k % 3 == 0 else [])
-            axis.set_ylim(len(scenarios) - 0.5, -0.5)
-            axis.set_title(quantity)
-            axis.set_xlabel(f"shift ({chosen['unit'].iloc[0]})")
-    return figure
-
-
-def _dot(row: pd.Series, colour: str) -> dict[str, Any]:
-    trusted = row["warning"] == Caution.NONE
-    face = colour if trusted else style.PAGE.hex
-    return {"color": colour, "markersize": 5, "markerfacecolor": face}
+    for quantity, rows in table.groupby("quantity", sort=False):
+        names = rows["scenario"].tolist()
+        colours = np.where(rows["finding"], style.BLUE.hex, style.MUTED.hex)
+        shifts = map(Interval, rows["shift"], rows["low"], rows["high"])
+        figure = figures.interval_rows(
+            dict(zip(names, shifts)),
+            f"Shift ({rows['unit'].iloc[0]})",
+            title=str(quantity),
+            reference=0.0,
+            band=abs(float(rows["gap"].iloc[0])),
+            colours=dict(zip(names, colours)),
+            hollow=rows.loc[rows["warning"] != Caution.NONE, "scenario"].tolist(),
+        )
+        yield to_image(figure, f"Shift of {quantity} by change")
 
 
 def _doses(found: WhatIf) -> tuple[str, list[float]] | None:
@@ -275,27 +269,21 @@ def _doses(found: WhatIf) -> tuple[str, list[float]] | None:
     return f"{name} ({'factor' if is_factor else unit or 'value'})", doses
 
 
-def _dose_figure(found: WhatIf, name: str, doses: list[float]) -> Figure:
+def _dose_images(table: pd.DataFrame, name: str, doses: list[float]) -> Iterator[Image]:
     """One panel per quantity: its mean over the amount of the change."""
-    table = found.table
-    quantities = list(dict.fromkeys(table["quantity"]))
-    with figure_style():
-        figure, axes = _grid(len(quantities), 2.6, 1.9)
-        for axis, quantity in zip(axes, quantities):
-            rows = table[table["quantity"] == quantity]
-            order = np.argsort(doses)
-            axis.plot(np.array(doses)[order], rows["changed"].to_numpy()[order],
-                      color=style.LINE.hex, zorder=1)  # fmt: skip
-            axis.axhline(rows["recorded"].iloc[0], color=style.TARGET.hex, linewidth=0.9,
-                         linestyle="--")  # fmt: skip
-            for dose, (_, row) in zip(doses, rows.iterrows(), strict=True):
-                ends = [row["baseline"] + row["low"], row["baseline"] + row["high"]]
-                axis.plot([dose] * 2, ends, color=style.BLUE.hex, linewidth=1.4)
-                axis.plot(dose, row["changed"], "o", **_dot(row, style.BLUE.hex))
-            axis.set_title(quantity)
-            axis.set_ylabel(rows["unit"].iloc[0])
-            axis.set_xlabel(name)
-    return figure
+    for quantity, rows in table.groupby("quantity", sort=False):
+        rows = rows.assign(dose=doses).sort_values("dose")
+        texts = {"title": str(quantity), "xlabel": name, "ylabel": rows["unit"].iloc[0]}
+        with figures.one_panel(2.8, 2.1, "", **texts) as (figure, panel):
+            panel.plot(rows["dose"], rows["changed"], color=style.LINE.hex, zorder=1)
+            panel.axhline(rows["recorded"].iloc[0], color=style.TARGET.hex, linewidth=0.9,
+                          linestyle="--")  # fmt: skip
+            ends = rows["baseline"] + rows["low"], rows["baseline"] + rows["high"]
+            panel.vlines(rows["dose"], *ends, color=style.BLUE.hex, linewidth=1.4)
+            face = np.where(rows["warning"] == Caution.NONE, style.BLUE.hex, style.PAGE.hex)
+            panel.scatter(rows["dose"], rows["changed"], 25, c=face, edgecolors=style.BLUE.hex,
+                          zorder=3)  # fmt: skip
+        yield to_image(figure, f"Dose and response: {quantity} by {name}")
 
 
 # -- the player -----------------------------------------------------------------------------------
@@ -314,7 +302,7 @@ def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
         )  # fmt: skip
     views.append(player.view(UNCHANGED, inputs.recorded, RECORDED, UNCHANGED, UNCHANGED))
     recorded = Rollouts.from_demonstrations(found.demos)
-    quantity = next(found.quantities())
+    quantity = next(quantities_of(found.species, unit_of(found.demos)))
     first = played[0].rollouts
     shift = quantity.values(first) - quantity.values(found.baseline)
     of_first = np.flatnonzero(found.baseline.repetition == 0)[: len(found.demos)]

@@ -101,10 +101,8 @@ class Scenario:
     @property
     def condition(self) -> str | None:
         """The condition that policies are told, by name."""
-        for change in self.changes:
-            if change.what == CONDITION:
-                return str(change.amount)
-        return None
+        named = (str(change.amount) for change in self.changes if change.what == CONDITION)
+        return next(named, None)
 
     @property
     def removed(self) -> tuple[str, ...]:
@@ -163,7 +161,7 @@ class Scenario:
                 options |= {PLUME: change.amount} if change.what == PLUME else {}
                 # Warming up would lead back to the recorded start.
                 options |= {"warmup": 0} if change.what == START else {}
-            elif change.what == REMOVE or change.what == "speed":
+            elif change.what == "speed":
                 continue
             elif change.what in BODY:
                 for name in change.who:
@@ -234,7 +232,15 @@ def parse_change(text: str, species: Species) -> list[Change]:
     name, equals, value = (part.strip() for part in text.partition("="))
     if not (name and equals and value):
         raise InputError(f"{text!r} is no change: give NAME=VALUE, " + known(species))
-    who, what = _subject(name, text, species)
+    if name == ADD:
+        raise InputError(
+            f"{text!r}: a trained run takes no further individual: import recordings of as many, "
+            "or train with num_pursuers one higher, and ask that run"
+        )
+    named = subjects(species)
+    if name not in named:
+        raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
+    who, what = named[name]
     if what in (CONDITION, PLUME, REMOVE, START):
         chosen = _choice(what, value, species, text)
         return [Change((chosen,) if what == REMOVE else who, what, chosen, text)]
@@ -254,62 +260,38 @@ def parse_change(text: str, species: Species) -> list[Change]:
 
 def known(species: Species) -> str:
     """Return a sentence that lists what can be changed."""
-    kinds = [f"{group}.{what}" for group in _groups(species) for what in _own_names(species)]
-    return f"where NAME is one of {', '.join([*kinds, *_world_names(species)])}"
+    return f"where NAME is one of {', '.join(subjects(species))}"
 
 
-def _subject(name: str, text: str, species: Species) -> tuple[tuple[str, ...], str]:
-    """Whom and what a name means."""
-    if name == ADD:
-        raise InputError(
-            f"{text!r}: a trained run takes no further individual: import recordings of as many, "
-            "or train with num_pursuers one higher, and ask that run"
-        )
-    if name in (START, REMOVE):
-        return species.individuals if name == START else (), name
-    if name in _world_names(species):
-        return (), name
-    group, dot, what = name.rpartition(".")
-    groups = _groups(species)
-    if not dot or what not in _own_names(species) or group not in groups:
-        raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
-    return groups[group], what
+def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
+    """Return all names of what can be changed, with whom and what each means.
 
-
-def _groups(species: Species) -> dict[str, tuple[str, ...]]:
-    """Individuals by name, by kind (``predators``) and by role (``pursuers``)."""
+    Individuals go by name, by kind (``predators``) and by role (``pursuers``); traits can be
+    changed where training animals differed in them.
+    """
     groups: dict[str, tuple[str, ...]] = {name: (name,) for name in species.individuals}
     for name, role in zip(species.individuals, species.roles, strict=True):
         for plural in (f"{name.rpartition('_')[0] or name}s", f"{role}s"):
             groups[plural] = tuple(dict.fromkeys((*groups.get(plural, ()), name)))
     groups |= {"all": species.individuals}
-    return {
-        name: who
-        for name, who in groups.items()
-        if len(who) > 1 or name in species.individuals
-    }  # fmt: skip
-
-
-def _own_names(species: Species) -> list[str]:
-    """What of an individual can be changed; traits where training animals differed in them."""
-    names = [*BODY, START]
+    own = [*BODY, START]
     if species.traits is not None:
         differ = np.isfinite(species.traits.scale)
-        names += [name for name, column in NATURE.items() if differ[:, column].any()]
-    return names
-
-
-def _world_names(species: Species) -> list[str]:
-    """What of the world can be changed."""
-    chase = isinstance(species, ChaseSpecies)
-    names = ["arena", "contact", "time_limit", REMOVE, START] if chase else []
+        own += [name for name, column in NATURE.items() if differ[:, column].any()]
+    named = {
+        f"{group}.{what}": (who, what)
+        for group, who in groups.items()
+        for what in own
+        if len(who) > 1 or group in species.individuals
+    }
+    world = ["arena", "contact", "time_limit", REMOVE] if isinstance(species, ChaseSpecies) else []
     if isinstance(species, SearchSpecies):
-        own = {field.name for field in fields(SearchSpecies)} - {f.name for f in fields(Species)}
-        numbers = {name for name in own if isinstance(getattr(species, name), float)}
-        names = ["contact", "time_limit", PLUME, *AIR, *sorted(numbers)]
-    if species.conditions:
-        names.append(CONDITION)
-    return names
+        fields_of_search = {field.name for field in fields(SearchSpecies)}
+        numbers = fields_of_search - {field.name for field in fields(Species)}
+        numbers = {name for name in numbers if isinstance(getattr(species, name), float)}
+        world = ["contact", "time_limit", PLUME, *AIR, *sorted(numbers)]
+    world += [CONDITION] if species.conditions else []
+    return named | {START: (species.individuals, START)} | {what: ((), what) for what in world}
 
 
 def _place(value: str, unit: Unit, text: str) -> NDArray[np.float64] | None:
@@ -328,18 +310,11 @@ def _place(value: str, unit: Unit, text: str) -> NDArray[np.float64] | None:
 
 def _choice(what: str, value: str, species: Species, text: str) -> str:
     """A condition, a plume or an individual by its name, or a start."""
-    if what == REMOVE and value not in species.individuals:
-        raise InputError(
-            f"{text!r}: there is no {value!r}: remove one of {', '.join(species.individuals)}"
-        )
     if what == START and value == UNIFORM and not isinstance(species, ChaseSpecies):
         raise InputError(f"{text!r}: starts of {species.name} are not drawn: give a place x,y")
-    if what == CONDITION and value not in species.conditions:
-        raise InputError(
-            f"condition {value!r} was never recorded: choose one of {', '.join(species.conditions)}"
-        )
-    if what == PLUME and value not in PLUMES:
-        raise InputError(f"plume {value!r} is unknown: choose one of {', '.join(PLUMES)}")
+    names = {REMOVE: species.individuals, CONDITION: species.conditions, PLUME: PLUMES}.get(what)
+    if names is not None and value not in names:
+        raise InputError(f"{text!r}: there is no {value!r}: choose one of {', '.join(names)}")
     return value
 
 

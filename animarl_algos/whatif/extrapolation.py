@@ -178,6 +178,11 @@ class WatchedPolicy(WrappedPolicy):
         self.sides = np.zeros((individuals, 2 * components))
         self._pending: NDArray[np.bool_] | None = None
 
+    def around(self, policy: Policy) -> WatchedPolicy:
+        """Return this one, in the place of that policy."""
+        self.policy = policy
+        return self
+
     def predict(self, observation: Any, *more: Any, **known: Any) -> tuple[Any, Any]:
         """Ask the policy, and remember which inputs were beyond their range."""
         self.finish()
