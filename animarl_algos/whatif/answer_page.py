@@ -98,12 +98,15 @@ def findings(answer: Answer) -> list[str]:
     table = answer.table
     if answer.warning == Caution.RED:
         return [GUESS]
-    return [
-        f"{capitalised(row['quantity'])} {row['judged']} by "
-        f"{abs(row['shift']):.3g} {row['unit']} "
-        f"[{', '.join(f'{abs(end):.3g}' for end in sorted((row['low'], row['high']), key=abs))}]."
-        for _, row in table[table["finding"]].iterrows()
-    ] or ["No shift is clear of chance and of the gap."]
+    found = []
+    for _, row in table[table["finding"]].iterrows():
+        size, *ends = (abs(_factor(row) * row[key]) for key in ("shift", "low", "high"))
+        unit = "percentage points" if row["unit"] == "share" else row["unit"]
+        found.append(
+            f"{capitalised(row['quantity'])} {row['judged']} by {size:.3g} {unit} "
+            f"[{', '.join(f'{end:.3g}' for end in sorted(ends))}]."
+        )
+    return found or ["No shift is clear of chance and of the gap."]
 
 
 # -- the page -------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
 from animarl_algos.whatif.answer import ask, judge, share_as_large
-from animarl_algos.whatif.answer_page import answer_page, words
+from animarl_algos.whatif.answer_page import answer_page, findings, words
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy, in_words, others_in_order
 from animarl_envs.demos.summary import Unit
@@ -148,6 +148,8 @@ def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: Run) -> None:
     assert rows.loc["reached", "high"] < 0 < rows.loc["duration", "low"]
     assert rows.loc["duration", "shift"] == pytest.approx(2.8, abs=1.5)
     assert rows.loc["duration", "finding"]
+    lost = abs(100 * rows.loc["reached", "shift"])
+    assert findings(faster)[0].startswith(f"Reached falls by {lost:.3g} percentage points [")
 
 
 def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: Run) -> None:
