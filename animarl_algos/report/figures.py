@@ -163,7 +163,7 @@ class Stage:
         """Return the stage of that species."""
         return replace(
             self,
-            arena=replace(species.arena, rebound=self.arena.rebound),
+            arena=species.arena,
             roles=species.roles,
             names=species.individuals,
             contact_radius=contact_drawn(species),

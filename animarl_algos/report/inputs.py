@@ -60,14 +60,13 @@ class PageInputs:
     @cached_property
     def stage(self) -> Stage:
         """Where they move: the recorded field, with walls if the world had them."""
-        demos = self.demos
-        walls = bool(self.environment.get("rebound", demos.arena.rebound))
+        demos, known = self.demos, self.species
         return Stage(
-            replace(demos.arena, rebound=walls),
+            demos.arena if known is None else replace(demos.arena, rebound=known.arena.rebound),
             demos.roles,
             demos.individuals,
             self.words,
-            None if self.species is None else contact_drawn(self.species),
+            None if known is None else contact_drawn(known),
         )
 
     def condition(self, number: int) -> str:

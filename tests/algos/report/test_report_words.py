@@ -34,6 +34,7 @@ from animarl_algos.report.words import Words, cautions, number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.drawing.palette import RGB
+from animarl_envs.species import AGENT
 
 
 def comparison() -> pd.DataFrame:
@@ -224,7 +225,8 @@ def test_long_paths_are_thinned_to_the_budget(monkeypatch: pytest.MonkeyPatch) -
 
 def test_walls_and_names_are_told() -> None:
     inputs = report_inputs()
-    player = run_player(dataclasses.replace(inputs, environment={"rebound": True}))
+    walled = dataclasses.replace(AGENT, arena=dataclasses.replace(AGENT.arena, rebound=True))
+    player = run_player(dataclasses.replace(inputs, species=walled))  # the recordings know of none
     assert player.data["arena"]["walls"] and "a wall" in player.caption
     assert not run_player(inputs).data["arena"]["walls"]
     individuals = player.data["individuals"]
