@@ -427,11 +427,11 @@ class _Workers:
             kept.set_result(attempt(piece, out))
             return kept
         try:
-            return self._started().submit(attempt, piece, out)
+            return self._started().submit(_attempt_or_end, piece, out)
         except BrokenProcessPool:
             self._started().shutdown()
             self._pool = None
-            return self._started().submit(attempt, piece, out)
+            return self._started().submit(_attempt_or_end, piece, out)
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
@@ -488,6 +488,14 @@ def perform_all(
                 yield piece, error
 
 
+def _attempt_or_end(piece: Piece, out: Path) -> str | None:
+    """A worker that is told to end within a piece ends: the pool would give it the next one."""
+    try:
+        return attempt(piece, out)
+    except (SystemExit, KeyboardInterrupt):
+        os._exit(methods.TERMINATED)
+
+
 def _end_politely() -> None:
     """A worker that is told to end leaves no half-written file behind, and none outlives us."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(methods.TERMINATED))
@@ -495,7 +503,7 @@ def _end_politely() -> None:
 
 
 def _end_with_parent() -> None:
-    """Told to end in a piece of work, a worker waits for the next one: so it is told again."""
+    """Told to end within a callback that swallows it, a worker goes on: so it is told again."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -164,6 +165,25 @@ def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
         time.sleep(0.05)
     run(tiny(), out)
     assert bytes_of(out) == bytes_of(finished)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="it looks into /proc")
+def test_benchmark_that_is_told_to_end_begins_no_further_piece(tmp_path: Path) -> None:
+    """Of two cells the first worker begins one, and would take the other, too, when told to end."""
+    out, here = tmp_path / "ended", Path(__file__).parent
+    script = tmp_path / "script.py"
+    long = {"soft-bc": {"offline_epochs": 100_000}}
+    script.write_text(SCRIPT.replace("tiny()", f"tiny(settings={long})"))
+    paths = os.pathsep.join(map(str, (here.parents[2], here.parents[1], here)))
+    child = subprocess.Popen(
+        [sys.executable, str(script), str(out)], env={**os.environ, "PYTHONPATH": paths}
+    )
+    began = time.monotonic()
+    while not list(out.glob("cells/*/run/logs")) and child.poll() is None:
+        assert time.monotonic() - began < 240
+        time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    assert child.wait(60) != 0
 
 
 @pytest.mark.parametrize("processes", [1, 2])
