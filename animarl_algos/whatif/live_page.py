@@ -235,12 +235,11 @@ def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
         world = SearchWorld(scenario, len(test))
         world.seed(np.arange(len(test)))
         world.reset(demo=np.arange(len(test)))
-        signals = {name: np.squeeze(value) for name, value in test.signals.items()}
-        if {"odour_left", "odour_right"} <= set(signals):
-            both = np.stack([signals["odour_left"], signals["odour_right"]], axis=-1)
-            starts["hits"] = _packed((both[index] >= 0.5).astype(np.uint8))
-        if "heading" in signals:
-            starts["heading"] = _packed(signals["heading"][index].astype(np.float64))
+        hits, headings = test.odour_hits(), test.headings()
+        if hits is not None:
+            starts["hits"] = _packed(hits[index].astype(np.uint8))
+        if headings is not None:
+            starts["heading"] = _packed(headings[index].ravel())
         starts |= {"pattern": world.pattern.tolist(), "phase": world.phase.tolist()}
     return starts
 

@@ -31,6 +31,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions, lone_pursuer
 from animarl_envs.locomotion import velocities
 
+HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Demonstrations(Episodes):
@@ -186,6 +188,16 @@ class Demonstrations(Episodes):
         if heading is None or heading[:1].size != self.num_individuals:
             return None
         return heading.astype(np.float64).reshape(len(heading), -1)
+
+    def odour_hits(self) -> NDArray[np.bool_] | None:
+        """Hits of a searcher's left and right antenna since the last frame, ``(frames, 2)``.
+
+        ``None`` where they were not recorded.
+        """
+        if not {"odour_left", "odour_right"} <= self.signals.keys():
+            return None
+        sides = [np.squeeze(self.signals[f"odour_{side}"]) for side in ("left", "right")]
+        return np.stack(sides, axis=-1).astype(np.float64) >= HIT_SHARE
 
     def resolution(self) -> Resolution | None:
         """The grid on which all positions lie, such as pixels; ``None`` where there is none."""

@@ -333,15 +333,13 @@ def _seconds(value: Any) -> float:
 UNITS, UPDATES, BATCH, RATE, DECAY = 24, 1_500, 512, 5e-3, 3e-2
 EMPTY, PLACES = 64, 5_000  # places without odour: of a batch, and in all
 CELL, AROUND = 0.02, 0.3  # [m]
-HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
 Floats = NDArray[np.float64]
 
 
 def odour_steps(demos: Demonstrations) -> tuple[Floats, NDArray[np.int64]]:
     """Inputs ``(n, INPUTS)`` and hits ``(n,)`` (0 none, 1 left, 2 right, 3 both) of all steps."""
-    signals = [np.squeeze(demos.signals[f"odour_{side}"]) for side in ("left", "right")]
-    hits = np.stack(signals, axis=-1).astype(np.float64) >= HIT_SHARE
-    heading = np.squeeze(demos.signals[HEADING]).astype(np.float64)
+    hits, heading = demos.odour_hits(), demos.headings()
+    assert hits is not None and heading is not None  # see shows_odour
     rows, labels = [], []
     for first, end in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
         last_hit = -np.inf
@@ -351,7 +349,7 @@ def odour_steps(demos: Demonstrations) -> tuple[Floats, NDArray[np.int64]]:
             since = (frame - 1 - last_hit) * demos.dt
             row = np.empty(INPUTS)
             x, y = demos.positions[frame, 0]
-            cosine, sine = np.cos(heading[frame]), np.sin(heading[frame])
+            cosine, sine = np.cos(heading[frame, 0]), np.sin(heading[frame, 0])
             write_inputs(x, y, cosine, sine, hits[frame - 1, 0], hits[frame - 1, 1], since, row)
             rows.append(row)
             labels.append(hits[frame, 0] + 2 * hits[frame, 1])

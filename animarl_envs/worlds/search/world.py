@@ -27,8 +27,6 @@ from animarl_envs.worlds.search import kernels as kernels
 from animarl_envs.worlds.search.kernels import Body, senses_of
 from animarl_envs.worlds.search.layout import observation_components as observation_components
 
-HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
-
 
 class SearchWorld(World):
     """Batched odour search; see :class:`animarl_envs.worlds.base.World` for the arrays.
@@ -205,21 +203,17 @@ def _recorded_senses(
     for row, group in enumerate(groups):
         candidates[row, : len(group)] = [patterns.index(p) for p in group]
     count = demos.num_episodes if demos else 0
-    hits, heading = np.zeros((0, 2), dtype=bool), np.zeros(0)
     group_of = np.zeros(count, dtype=np.int64)
     pattern, phase = np.full(count, -1), np.full(count, -1)
     traits = np.zeros((count, 2))
+    hits = headings = None
     if demos is not None:
+        hits, headings = demos.odour_hits(), demos.headings()
         signals = {name: np.squeeze(value) for name, value in demos.signals.items()}
         group_of[demos.split != "train"] = 1
         if species.traits is not None:
             own = episode_traits(demos.positions, demos.lengths, demos.dt)
             traits = species.traits.scores(own, demos.condition)[:, 0]
-        if {"odour_left", "odour_right"} <= set(signals):
-            both = np.stack([signals["odour_left"], signals["odour_right"]], axis=-1)
-            hits = both.astype(np.float64) >= HIT_SHARE
-        if "heading" in signals:
-            heading = signals["heading"].astype(np.float64)
         if model and "plume" in signals:
             numbers = signals["plume"][demos.offsets[:-1]]
             strange = sorted(set(numbers.tolist()) - set(patterns))
@@ -233,6 +227,7 @@ def _recorded_senses(
             if "plume_step" in signals:
                 phase = signals["plume_step"][demos.offsets[:-1]].astype(np.int64)
     return _RecordedSenses(
-        hits, heading, candidates, np.array([len(g) for g in groups]), group_of, pattern, phase,
-        traits,
+        np.zeros((0, 2), dtype=bool) if hits is None else hits,
+        np.zeros(0) if headings is None else headings.ravel(),
+        candidates, np.array([len(g) for g in groups]), group_of, pattern, phase, traits,
     )  # fmt: skip
