@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.summary import RECORDED_SCALE, Unit, ending_in_words, unit_of
+from animarl_envs.demos.summary import METRES, RECORDED_SCALE, Unit, ending_in_words, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.worlds.plume.plume import PlumeField
@@ -61,7 +61,7 @@ class SceneRecorder:
         self._glow: NDArray[np.float32] | None = None  # the plume, last drawn at this time [s]
         self._drawn = -np.inf
         self.unit = RECORDED_SCALE if world.demos is None else unit_of(world.demos)
-        if hasattr(world, "plume"):
+        if hasattr(world, "plume") and self.unit in (RECORDED_SCALE, METRES):
             self.unit = Unit("m", world.scenario.species.metres_per_unit)
 
     def start(self) -> None:

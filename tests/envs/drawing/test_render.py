@@ -11,6 +11,7 @@ import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
+from recordings import search
 from refusals import refuses
 
 from animarl_envs import parallel_env
@@ -219,6 +220,13 @@ def test_scale_bar_has_the_unit_of_the_recordings(renderer):
 def test_scale_bar_of_a_search_follows_the_length_of_its_arena_unit():
     scenario = make_scenario("silkmoth", demos=None, metres_per_unit=0.01)
     assert SceneRecorder(make_world(scenario)).unit == Unit("m", 0.01)
+    demos = search()
+    scales = {name: {"unit": 1000.0} for name in demos.recording.tolist()}
+    told = dataclasses.replace(
+        demos, provenance={**demos.provenance, "unit": "mm", "scales": scales}
+    )
+    assert SceneRecorder(make_world(make_scenario("custom", demos=told))).unit == Unit("mm", 1000.0)
+    assert SceneRecorder(make_world(make_scenario("custom", demos=demos))).unit == Unit("m", 1.0)
 
 
 @pytest.mark.parametrize("what", LATER)
