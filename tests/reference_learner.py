@@ -121,14 +121,14 @@ class ReferenceLearner:
             episode, begin, end = self.sequences[index]
             values, features = self.evaluate(weights, episode, begin, end)
             later, _ = self.evaluate(self.target, episode, begin, end)
-            actions, rewards, labels, warmup = map(
-                episode.of, ("actions", "rewards", "labels", "warmup")
+            actions, returned, rewards, labels, warmup = map(
+                episode.of, ("actions", "returned", "rewards", "labels", "warmup")
             )
             errors = []
             for t in (t for t in range(begin, end) if not warmup[t]):
-                now, reward = t - begin, rewards[t]
+                now, reward = t - begin, returned[t]
                 if recipe in ("dqdil", "dqcil"):
-                    reward -= model.alpha * episode.of("penalties")[t]
+                    reward = rewards[t] - model.alpha * episode.of("penalties")[t]
                 best = values[now + 1].mean(-1).argmax()
                 gamma = 0.0 if episode.of("terminated")[t] else model.gamma
                 target, value = reward + gamma * later[now + 1, best], values[now, actions[t]]

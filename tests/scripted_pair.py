@@ -18,12 +18,14 @@ from animarl_algos.replay.store import SequenceBatch
 class Step:
     """One step of all copies: ``(copies, K, ...)``, and ``(copies,)`` from ``warmup`` on.
 
-    ``successors`` are the terminal observations where an episode ended.
+    ``successors`` are the terminal observations where an episode ended, ``returned`` is the reward
+    that the step returned, ``rewards`` the task's.
     """
 
     observations: NDArray[np.float32]
     actions: NDArray[np.int64]
     successors: NDArray[np.float32]
+    returned: NDArray[np.float32]
     rewards: NDArray[np.float32]
     penalties: NDArray[np.float32]
     labels: NDArray[np.int64]
@@ -103,6 +105,7 @@ class ScriptedPair(toys.Toy):
             Step(
                 observations=before.reshape(*pair, -1), actions=self._actions.copy(),
                 successors=successors.reshape(*pair, -1),
+                returned=rewards.reshape(pair),
                 rewards=extras["task_reward"].reshape(pair),
                 penalties=extras["dtw_penalty"].reshape(pair),
                 labels=extras["aligned_action"].reshape(pair),

@@ -27,6 +27,7 @@ from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario, refuse_other_species
 from animarl_envs.species import Species, resolve_variant
 from animarl_envs.views.common import check_actions, observation_space
+from animarl_envs.views.single import AnimalEnv
 from animarl_envs.worlds import make_world
 from animarl_envs.wrappers import Cue, check_cue, cue_of, with_flag
 
@@ -229,9 +230,8 @@ class SlotVecEnv(VecEnv):
         ``dtw_penalty`` is the distance to a demonstration, ``aligned_action`` the demonstrated
         action aligned with each state.
         """
-        if self._tracker is None:
-            return ("task_reward",)
-        return ("task_reward", "dtw_penalty", "aligned_action")
+        names = ("task_reward", *AnimalEnv.feedback)
+        return names if self._tracker is None else (*names, "dtw_penalty", "aligned_action")
 
     def offline_data(self) -> SpeciesDemonstrations:
         """The train and val splits of the demonstrations, for the offline phase."""
@@ -357,9 +357,14 @@ def check_observation(space: gym.Space[Any]) -> None:
         )
 
 
-def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) -> None:
-    """Refuse an environment that does not give what a recipe learns from."""
-    given = declared(env, "feedback") or ()
+def check_environment_supports(
+    recipe: Recipe, env: VecEnv, layout: SlotLayout, alpha: float
+) -> None:
+    """Refuse an environment that does not give what a recipe learns from.
+
+    Or that weighs the distance by another ``alpha`` than the learner.
+    """
+    given = declared_feedback(env)
     for needed, name, words in (
         (recipe.needs_distance, "dtw_penalty", "the distance to a demonstration"),
         (recipe.needs_alignment, "aligned_action", "aligned demonstrated actions"),
@@ -370,6 +375,11 @@ def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) 
                 "in its attribute feedback): learn in a SlotVecEnv with demonstrations, or wrap a "
                 "single environment in the DTW reward"
             )
+    if recipe.needs_distance and (own := declared(env, "alpha")) not in (None, alpha):
+        raise InputError(
+            f"alpha is {own} of the environment's DTW reward and {alpha} of the learner, which "
+            "weighs the distance by its own: give both the same"
+        )
     if recipe.needs_condition and not layout.condition_flag:
         raise InputError(
             f"recipe {recipe.name} needs the condition flag as the last observation component and "
@@ -423,23 +433,26 @@ def declared(env: Any, name: str) -> Any:
     return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
 
 
-FEEDBACK = (
-    "task_reward", "dtw_penalty", "aligned_action", "warmup", "condition", "executed",
-)  # fmt: skip
-"""What may come with a step beside the reward, see :class:`SlotVecEnv`."""
+def declared_feedback(env: VecEnv) -> tuple[str, ...]:
+    """Return the names of what an environment says that it hands out beside the reward."""
+    names = declared(env, "feedback")
+    return tuple(names) if isinstance(names, tuple | list) else ()  # another's word
 
 
-def feedback_of(env: VecEnv, infos: list[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+def feedback_of(
+    env: VecEnv, names: tuple[str, ...], infos: list[dict[str, Any]]
+) -> dict[str, NDArray[Any]]:
     """Return what came with the last step, ``(slots,)`` each, without what the environment lacks.
 
-    It is the attribute ``extras`` of the VecEnv where there is one (fast), otherwise in ``infos``.
-    Where a warm-up replays other actions than were asked for, they are ``executed``.
+    Of the ``names`` that the environment declares. It is the attribute ``extras`` of the VecEnv
+    where there is one (fast), otherwise in ``infos``. Where a warm-up replays other actions than
+    were asked for, they are ``executed``.
     """
     found = getattr(env, "extras", None)
     if found is None:
-        shown = [name for name in FEEDBACK if name in infos[0]]
+        shown = [name for name in names if name in infos[0]]
         found = {name: [info[name] for info in infos] for name in shown}
-    return {name: np.asarray(found[name]).reshape(-1) for name in FEEDBACK if name in found}
+    return {name: np.asarray(found[name]).reshape(-1) for name in names if name in found}
 
 
 class MixedMeansWarning(UserWarning):

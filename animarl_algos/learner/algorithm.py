@@ -20,7 +20,7 @@ from stable_baselines3.common.utils import configure_logger, polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset, check_demonstrations
-from animarl_algos.data.vec_env import check_environment_supports, feedback_of
+from animarl_algos.data.vec_env import check_environment_supports, declared_feedback, feedback_of
 from animarl_algos.learner.base import BaseLearner
 from animarl_algos.learner.callbacks import with_progress_bar
 from animarl_algos.learner.pretraining import (
@@ -68,7 +68,7 @@ class SequenceQLearning(BaseLearner):
     def check_learnable(self) -> None:
         """Check the environment and the demonstrations as :meth:`learn` does before it begins."""
         assert self.env is not None
-        check_environment_supports(self.recipe, self.env, self.layout)
+        check_environment_supports(self.recipe, self.env, self.layout, self.alpha)
         pretraining = self.offline_epochs > 0 and not self.offline_progress.done
         if self.recipe.inverse or pretraining:
             data = self.demonstration_data()
@@ -173,6 +173,7 @@ class SequenceQLearning(BaseLearner):
             total_timesteps, callback, reset_num_timesteps, *rest
         )
         self._last_obs = np.array(self._last_obs)
+        self.feedback_names = declared_feedback(self.env)
         self.treatments_told: Any = 0  # apart, since the last log
         self._set_exploration()
         return total_timesteps, callback
@@ -227,7 +228,7 @@ class SequenceQLearning(BaseLearner):
             actions, (hidden, _) = self._choose_actions(learning_starts)
             new_obs, rewards, dones, infos = env.step(actions)
             new_obs = np.array(new_obs)  # an environment may overwrite its own
-            feedback = {"executed": actions} | feedback_of(env, infos)
+            feedback = {"executed": actions} | feedback_of(env, self.feedback_names, infos)
             self._store_step(replay_buffer, new_obs, rewards, dones, infos, feedback)
             previous = feedback["executed"].astype(np.int64)
             # Episodes that begin have no memory and no previous action.
@@ -298,7 +299,7 @@ class SequenceQLearning(BaseLearner):
         replay_buffer.add(
             observations=seen,
             actions=by_copy(feedback["executed"]),
-            rewards=by_copy(feedback.get("task_reward", rewards)),
+            rewards=by_copy(self._learned_rewards(rewards, feedback)),
             next_observations=by_copy(successors.reshape(len(dones), -1)),
             terminated=done & ~truncated,
             truncated=truncated,
@@ -308,6 +309,22 @@ class SequenceQLearning(BaseLearner):
             hidden=by_copy(self.memory[0]),
             condition=None if condition is None else condition[:, 0],
         )
+
+    def _learned_rewards(
+        self, rewards: NDArray[Any], feedback: dict[str, NDArray[Any]]
+    ) -> NDArray[Any]:
+        """Return the rewards of a step, or the task's, if the recipe weighs the distance itself."""
+        task = feedback.get("task_reward")
+        if not self.recipe.needs_distance or task is None:
+            return rewards
+        possible = [task - weight * feedback["dtw_penalty"] for weight in (0.0, 1.0, self.alpha)]
+        if not any(np.allclose(rewards, each, atol=1e-4) for each in possible):
+            raise InputError(
+                "the reward of a step is neither the task's nor that less the distance: a wrapper "
+                f"changed it, and recipe {self.recipe.name} would not learn from that: leave the "
+                "wrapper out, or change the reward within the environment"
+            )
+        return task
 
     def _count(self, steps: int, episodes: int) -> None:
         """Count world steps and episodes that have just passed; do what depends on their number."""

@@ -217,7 +217,7 @@ class BaseLearner(OffPolicyAlgorithm):
             check_setting_combinations(vars(self), self.recipe, recurrent, self.quantiles)
             self._setup_model()
             assert self.env is not None
-            check_environment_supports(self.recipe, self.env, self.layout)
+            check_environment_supports(self.recipe, self.env, self.layout, self.alpha)
             if isinstance(demonstrations, Demonstrations):
                 self.demonstrations = demonstrations_in(self.env, demonstrations, self.layout)
             if demonstrations is not None:

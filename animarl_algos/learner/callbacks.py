@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from animarl_algos.checked import COUNT
-from animarl_algos.data.vec_env import SlotLayout, feedback_of
+from animarl_algos.data.vec_env import SlotLayout, declared_feedback, feedback_of
 from animarl_algos.learner.checkpoint import save_checkpoint
 from animarl_algos.learner.pretraining import shown_progress
 from animarl_envs.errors import InputError
@@ -179,12 +179,13 @@ def evaluate_individuals(
     done = np.zeros(copies, dtype=np.int64)
     total, steps = np.zeros((copies, K)), np.zeros(copies, dtype=np.int64)
     returns, lengths = [], []
-    observation: Any = env.reset()
+    observation, names = env.reset(), declared_feedback(env)
     state, starts = None, np.ones(env.num_envs, dtype=bool)
     while (done < wanted).any():
         actions, state = model.predict(observation, state, starts, deterministic)
         observation, rewards, starts, infos = env.step(actions)
-        state = model.remember(state, feedback_of(env, infos).get("executed", actions))
+        executed = feedback_of(env, names, infos).get("executed", actions)
+        state = model.remember(state, executed)
         total += rewards.reshape(copies, K)
         steps += 1
         for b in np.flatnonzero(starts.reshape(copies, K)[:, 0]):

@@ -83,7 +83,7 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         learner = named_recipe(algo).algorithm(
             env=env, seed=settings.seed, device="cpu", **arguments
         )
-        check_environment_supports(learner.recipe, env, learner.layout)
+        check_environment_supports(learner.recipe, env, learner.layout, learner.alpha)
 
 
 def load_demonstrations(

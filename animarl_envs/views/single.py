@@ -72,6 +72,8 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
+    feedback: tuple[str, ...] = ("executed", "warmup", "condition")
+    """What learners may read in ``info``, beside the reward."""
 
     def __init__(
         self,

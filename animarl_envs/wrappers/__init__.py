@@ -194,7 +194,7 @@ class DTWReward(_DTW, gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """
 
     view = AnimalEnv
-    feedback = ("task_reward", "dtw_penalty")
+    feedback = ("task_reward", "dtw_penalty", *AnimalEnv.feedback)
     """What learners that need it look for before they start."""
 
     def __init__(

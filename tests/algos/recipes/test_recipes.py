@@ -267,7 +267,7 @@ def test_steps_before_learning_starts_are_acted_at_random() -> None:
 
 def test_the_task_reward_is_stored_where_the_reward_is_shaped_already() -> None:
     env = DTWReward(gym.make("AnimaRL/Agent-v0"), alpha=3.0)
-    model = DQDIL("MlpPolicy", env, **WIRING, learning_starts=NEVER)
+    model = DQDIL("MlpPolicy", env, **WIRING, learning_starts=NEVER, alpha=3.0)
     shaped: list[list[float]] = [[]]
     task: list[list[float]] = [[]]
 

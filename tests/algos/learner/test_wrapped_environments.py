@@ -1,0 +1,91 @@
+"""What a learner makes of environments that are wrapped, or of other packages."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from refusals import refuses
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+import animarl_envs
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.recipes.registry import DQDIL, DQN
+from animarl_envs.wrappers import DTWReward
+
+assert animarl_envs  # registers the ids
+
+FEW: dict[str, Any] = {
+    "gradient_steps": 1, "train_freq": (4, "step"), "buffer_size": 1000, "seed": 1, "device": "cpu",
+    "policy_kwargs": {"hidden": 6}, "learning_starts": 10**9,
+}  # fmt: skip
+
+
+class Pays(VecEnvWrapper):
+    """Pays 100 for every step."""
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        observations, rewards, dones, infos = self.venv.step_wait()
+        return observations, np.full_like(rewards, 100.0), dones, infos
+
+
+class Says(gym.Wrapper[Any, Any, Any, Any]):
+    """Has names in its infos that AnimaRL's environments have too, and an attribute."""
+
+    feedback = True
+
+    def step(self, action: Any) -> Any:
+        *rest, info = self.env.step(action)
+        words = {"task_reward": -7.0, "executed": True, "warmup": True, "condition": 1}
+        return *rest, info | words
+
+
+def stored(model: Any) -> Any:
+    return model.replay_buffer.frames
+
+
+def paid_alike(env: Any) -> Any:
+    return gym.wrappers.TransformReward(env, lambda _: 100.0)
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        lambda: Pays(SlotVecEnv("agent", 2)),
+        lambda: paid_alike(gym.make("AnimaRL/Agent-v0", recorded=True)),
+        lambda: paid_alike(DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True))),
+    ],
+)
+def test_the_reward_of_a_step_is_learned_from(env: Any) -> None:
+    rewards = stored(DQN("MlpPolicy", env(), **FEW).learn(300)).rewards
+    assert set(np.unique(rewards)) == {0.0, 100.0}  # 0: the step that an episode does not have
+
+
+def test_names_of_another_package_mean_nothing() -> None:
+    frames = [
+        stored(DQN("MlpPolicy", wrap(gym.make("CartPole-v1")), **FEW).learn(300))
+        for wrap in (lambda env: env, Says)
+    ]
+    for name in ("rewards", "actions", "warmup"):
+        np.testing.assert_array_equal(*(getattr(one, name) for one in frames))
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        lambda: Pays(SlotVecEnv("agent", 2)),
+        lambda: paid_alike(DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True))),
+    ],
+)
+def test_a_recipe_that_shapes_the_reward_refuses_one_that_a_wrapper_changed(env: Any) -> None:
+    refuses("a wrapper changed it", DQDIL("MlpPolicy", env(), **FEW).learn, 10)
+
+
+def test_two_weights_of_the_distance_are_refused() -> None:
+    env = DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True), alpha=50.0)
+    sentence = "alpha is 50.0 of the environment's DTW reward and 1.0 of the learner"
+    refuses(sentence, DQDIL, "MlpPolicy", env, **FEW)
+    DQDIL("MlpPolicy", env, **FEW, alpha=50.0).learn(20)
