@@ -168,6 +168,7 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
     touching[met, outcome[met] - 1] = True
     rewards = np.zeros(demos.positions.shape[:2], dtype=np.float32)
     final = demos.offsets[1:] - 2  # the frame that the last step leaves
+    pursuing = np.array([role != "target" for role in demos.roles])
     if lone_pursuer(demos.roles):  # the last individual pursues all others, each until touched
         rewards[:, :-1] = demos.dt
         paid = rewards[final]
@@ -175,7 +176,6 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
         paid[(near & met[:, None]) | touching | out] = 0.0
         paid[met, -1] = 1.0
     else:
-        pursuing = np.array([role != "target" for role in demos.roles])
         escaped = outcome == TARGET_OUT
         out &= (outcome == PURSUER_OUT)[:, None] & pursuing
         if not pursuing.all():  # the target is paid for as long as it lasts
@@ -189,5 +189,12 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
         paid[rewarded | touching] = 1.0
     paid[out] += species.boundary_penalty
     rewards[final] = paid
+    if not getattr(species, "free", False):
+        rewards[:, pursuing] -= species.step_cost
+    elif getattr(species, "shoaling_reward", False):
+        for i in range(demos.num_individuals):  # one by one, as distances of all would be large
+            apart = np.linalg.norm(demos.positions - demos.positions[:, i : i + 1], axis=2)
+            company = (apart < species.contact_radius).sum(axis=1) > 1  # itself is one
+            rewards[:-1, i] += demos.dt * company[1:]
     rewards[demos.offsets[1:] - 1] = 0.0
     return rewards

@@ -23,6 +23,7 @@ from animarl_algos.data.vec_env import (
     SlotVecEnv,
     check_environment_supports,
     check_observation,
+    declared,
     demonstrations_in,
     refuse_other_actions,
     refuse_other_slots,
@@ -56,7 +57,7 @@ from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayB
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.species import CUSTOM, SPECIES, resolve_variant, species_name
+from animarl_envs.species import CUSTOM, SPECIES, Species, resolve_variant, species_name
 
 TO_SB3 = (
     "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
@@ -345,11 +346,15 @@ class BaseLearner(OffPolicyAlgorithm):
         """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
         online = name == "online"
         own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
+        species, punished = getattr(declared(self.env, "scenario"), "species", None), 0.0
+        if isinstance(species, Species):  # between the cost of a step and that of leaving
+            punished = min(species.boundary_penalty, 0.0) / 2 - 2 * species.step_cost
         return Phase(
             name=name,
             lambda1=self.lambda1,
             scaled_penalties=self.offline_scaled_penalties and not online,
             n_steps=self.n_steps if online else 1,
+            punished_below=punished,
             **{key: getattr(self, key if online else f"offline_{key}") for key in own},
         )
 

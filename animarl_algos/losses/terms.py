@@ -36,6 +36,8 @@ class Phase:
         one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
     n_steps
         Rewards that are summed before the value of what follows (Sutton 1988; Hessel et al. 2018).
+    punished_below
+        An end whose reward is below it is one that the task punishes.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Phase:
     max_grad_norm: float | None
     scaled_penalties: bool = False
     n_steps: int = 1
+    punished_below: float = 0.0
 
 
 @dataclass
@@ -272,9 +275,9 @@ class WeightDecay(LossTerm):
 
 def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Tensor:
     """``V(s')``, (K, T, B); ``end_value`` (K,) after an end that the task does not punish."""
-    batch = minibatch.batch
+    batch, below = minibatch.batch, minibatch.phase.punished_below
     after: torch.Tensor = minibatch.online.q_values[:, 1:].logsumexp(-1)
-    at_end = torch.where(batch.rewards < 0, 0.0, end_value.view(-1, 1, 1))
+    at_end = torch.where(batch.rewards < below, 0.0, end_value.view(-1, 1, 1))
     return torch.where(batch.terminated > 0, at_end, after)
 
 

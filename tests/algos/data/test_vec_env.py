@@ -85,18 +85,29 @@ def test_the_state_of_all_copies_can_be_taken_and_put_back() -> None:
         assert np.array_equal(first.extras["dtw_penalty"], second.extras["dtw_penalty"])
 
 
-def test_demonstrated_rewards_are_those_of_the_world() -> None:
-    demos = load_packaged("agent").select(split="val")
-    expected = demonstration_rewards(AGENT, demos)
-    world = make_world(make_scenario(AGENT, demos=demos, split=None), demos.num_episodes)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("agent", {}),
+        ("agent", {"time_cost": 0.5}),
+        ("newt", {"time_cost": 0.5}),
+        ("silkmoth", {"time_cost": 0.5}),
+        ("shoal", {"shoaling_reward": True}),
+    ],
+)
+def test_demonstrated_rewards_are_those_of_the_world(name: str, options: dict[str, Any]) -> None:
+    demos = load_packaged(name).select(split="val")
+    replayed = dict.fromkeys(demos.individuals, "replay")
+    scenario = make_scenario(name, demos=demos, split=None, drivers=replayed, **options)
+    expected = demonstration_rewards(scenario.species, demos)
+    world = make_world(scenario, demos.num_episodes)
     world.reset(demo=np.arange(demos.num_episodes))
+    finer = name != "agent"  # the end was judged at a finer rate than the world's
     for t in range(int(demos.lengths.max()) - 1):
-        actions = np.full((demos.num_episodes, 3), 12)
-        running = demos.lengths - 1 > t
-        frames = demos.offsets[:-1][running] + t
-        actions[running] = demos.signals["actions"][frames]
-        world.step(actions)
-        assert world.reward[running] == pytest.approx(expected[frames], abs=1e-6)
+        world.step(np.full((demos.num_episodes, demos.num_individuals), 12))
+        frames = demos.offsets[:-1] + t
+        running = demos.lengths - 1 - finer > t
+        assert world.reward[running] == pytest.approx(expected[frames[running]], abs=1e-6)
 
 
 def test_the_condition_is_the_last_component_if_asked_for() -> None:

@@ -1,7 +1,7 @@
 """IQ-Learn: its loss by hand, what ends are worth, and an expert that a clone does not find."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +16,7 @@ from refusals import refuses
 from torch.nn import functional
 
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, Phase, next_values
 from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.acting_rule import Acting
@@ -98,6 +99,17 @@ def test_what_an_end_is_worth() -> None:
     ]
     for values, last in zip(found, (0.0, 1.0, LOG3), strict=True):
         assert values.flatten().tolist() == pytest.approx([LOG3, LOG2, last])
+
+
+def test_an_end_that_costs_no_more_than_its_time_is_not_punished() -> None:
+    """A pursuer that did not touch at a capture, and one that left."""
+    env = SlotVecEnv("agent", 1, time_cost=0.5)
+    phase = IQLearn("MlpPolicy", env, offline_epochs=1, seed=0).phase("online")
+    cost, found = env.scenario.species.step_cost, []
+    for reward in (-cost, -10.0 - cost):
+        end = steps_of([[0.0, 0.0], [0.0, 0.0]], [0], rewards=[reward], terminated=[1.0])
+        found.append(next_values(replace(end, phase=phase), torch.ones(1)).item())
+    assert found == [1.0, 0.0]
 
 
 def test_the_end_value_is_the_demonstrated_states_mean_and_has_no_gradient() -> None:
