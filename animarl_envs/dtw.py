@@ -12,8 +12,8 @@ What a step is charged, ``penalty``, is one of
 
 ``"closeness"``
     ``-exp(-c / scale)`` while the recording lasts, c the step's increase of ``min_j W(t, j)`` with
-    j kept within :data:`WINDOW` frames of t (Sakoe and Chiba's band). Afterwards it is what the
-    world pays for lasting.
+    j kept within :data:`WINDOW` frames of t (Sakoe and Chiba's band). Afterwards it is 0, and
+    ``refund``, which no weight multiplies, takes back what the world pays for lasting.
 ``"increment"``
     The step's increase of ``min_j W(t, j)``.
 ``"cumulative"``
@@ -156,6 +156,8 @@ class DTWTracker:
     ----------
     penalty
         ``(B, F)``, what the last step is charged, before weighting.
+    refund
+        ``(B, F)``, what it is charged beside, without weighting; 0 but with ``"closeness"``.
     row_minimum, aligned
         ``(B, F)``: ``min_j W(t, j)`` [arena unit], and its ``argmin``, the recorded step aligned
         with the present one.
@@ -187,7 +189,7 @@ class DTWTracker:
         shape = (num_copies, len(self.individuals))
         self.rows = np.full((*shape, int(demos.lengths.max())), np.inf)
         self.bands = np.full_like(self.rows, np.inf) if kind == "closeness" else np.zeros(0)
-        self.penalty = np.zeros(shape)
+        self.penalty, self.refund = np.zeros(shape), np.zeros(shape)
         self.row_minimum = np.zeros(shape)
         self.band_minimum = np.zeros(shape)
         self.aligned = np.zeros(shape, dtype=np.int64)
@@ -206,13 +208,13 @@ class DTWTracker:
         self.final_minimum = self.row_minimum.copy()
         self.final_aligned = self.aligned.copy()
         if self.kind == "closeness":
-            self.penalty = self._closeness_penalty(world, band_before)
+            self._charge_closeness(world, band_before)
         elif self.kind == "increment":
             self.penalty = self.final_minimum - before
         else:
             self.penalty = self.final_minimum.copy()
 
-    def _closeness_penalty(self, world: Any, before: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _charge_closeness(self, world: Any, before: NDArray[np.float64]) -> None:
         """Less than nothing while the recording lasts; then the pay for lasting is taken back.
 
         Or a target that stands apart would earn more by outliving its recording than by following
@@ -220,11 +222,10 @@ class DTWTracker:
         """
         over = np.isinf(self.band_minimum)
         increase = np.where(over, 0.0, self.band_minimum) - np.where(over, 0.0, before)
-        refund = np.zeros_like(increase)
+        self.penalty = np.where(over, 0.0, -np.exp(-increase / self.scale))
         if "elapsed" in world.reward_components:
             elapsed = world.reward_components.index("elapsed")
-            refund = world.components[:, self.individuals, elapsed]
-        return np.where(over, refund, -np.exp(-increase / self.scale))
+            self.refund = np.where(over, world.components[:, self.individuals, elapsed], 0.0)
 
     def _extend(self, world: Any, mask: NDArray[np.bool_], *, first: bool) -> None:
         if (world.demo[mask] < 0).any():

@@ -138,7 +138,7 @@ def returns(
         world.terminated |= step >= last
         for earned, tracker in zip(total, followed, strict=True):
             tracker.stepped(world)
-            earned[running] += discount * (world.reward - tracker.penalty)[running]
+            earned[running] += discount * (world.reward - tracker.refund - tracker.penalty)[running]
         running &= ~(world.terminated | world.truncated)
         discount *= gamma
     return total

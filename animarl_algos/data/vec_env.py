@@ -72,7 +72,7 @@ class SlotVecEnv(VecEnv):
     extras
         Arrays ``(slots,)`` that came with the last step: ``task_reward``, ``warmup``, ``demo``,
         ``condition``, where a copy warms up ``executed`` (its demonstrated actions, the others'
-        as given), and with ``dtw`` also ``dtw_penalty`` and ``aligned_action``.
+        as given), and with ``dtw`` also ``dtw_penalty``, ``dtw_refund`` and ``aligned_action``.
     """
 
     render_mode = None
@@ -185,6 +185,7 @@ class SlotVecEnv(VecEnv):
         extras["task_reward"] = reward.astype(np.float32).ravel()
         if self._tracker is not None:
             extras["dtw_penalty"] = self._tracker.penalty.astype(np.float32).ravel()
+            extras["dtw_refund"] = self._tracker.refund.astype(np.float32).ravel()
         self.extras = extras
         self._return += reward
         ended = world.terminated | world.truncated
@@ -227,11 +228,12 @@ class SlotVecEnv(VecEnv):
     def feedback(self) -> tuple[str, ...]:
         """Names of what comes with a step beside the reward.
 
-        ``dtw_penalty`` is the distance to a demonstration, ``aligned_action`` the demonstrated
-        action aligned with each state.
+        ``dtw_penalty`` is the distance to a demonstration, ``dtw_refund`` what is taken back after
+        its end, ``aligned_action`` the demonstrated action aligned with each state.
         """
         names = ("task_reward", *AnimalEnv.feedback)
-        return names if self._tracker is None else (*names, "dtw_penalty", "aligned_action")
+        dtw = ("dtw_penalty", "dtw_refund", "aligned_action")
+        return names if self._tracker is None else (*names, *dtw)
 
     def offline_data(self) -> SpeciesDemonstrations:
         """The train and val splits of the demonstrations, for the offline phase."""

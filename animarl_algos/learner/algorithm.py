@@ -313,12 +313,16 @@ class SequenceQLearning(BaseLearner):
     def _learned_rewards(
         self, rewards: NDArray[Any], feedback: dict[str, NDArray[Any]]
     ) -> NDArray[Any]:
-        """Return the rewards of a step, or the task's, if the recipe weighs the distance itself."""
-        task = feedback.get("task_reward")
-        if not self.recipe.needs_distance or task is None:
+        """Return the rewards of a step, or the task's, if the recipe weighs the distance itself.
+
+        Of the latter what is taken back after the recording's end is gone.
+        """
+        if not self.recipe.needs_distance or "task_reward" not in feedback:
             return rewards
-        possible = [task - weight * feedback["dtw_penalty"] for weight in (0.0, 1.0, self.alpha)]
-        if not any(np.allclose(rewards, each, atol=1e-4) for each in possible):
+        lasting = feedback["task_reward"]
+        task = lasting - feedback.get("dtw_refund", 0.0)
+        shaped = [task - weight * feedback["dtw_penalty"] for weight in (1.0, self.alpha)]
+        if not any(np.allclose(rewards, each, atol=1e-4) for each in (lasting, *shaped)):
             raise InputError(
                 "the reward of a step is neither the task's nor that less the distance: a wrapper "
                 f"changed it, and recipe {self.recipe.name} would not learn from that: leave the "

@@ -325,5 +325,5 @@ class Scored(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         observations, rewards, dones, infos = self.venv.step_wait()
         if "dtw_penalty" in self.venv.extras:
-            rewards = rewards - self.venv.extras["dtw_penalty"]
+            rewards = rewards - self.venv.extras["dtw_refund"] - self.venv.extras["dtw_penalty"]
         return observations, rewards, dones, infos

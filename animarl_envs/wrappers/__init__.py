@@ -6,15 +6,16 @@ other one, 0 or 1 always that.
 
 With the DTW reward, being near the recorded path is worth something::
 
-    R_t = R_touch_t - alpha * penalty_t
+    R_t = R_touch_t - refund_t - alpha * penalty_t
 
 ``penalty="closeness"`` (default): a payment of at most 1 a step, the nearer the more, while the
-recording lasts. ``penalty="increment"``: the step's increase of ``min_j W(t, j)``, whose sum over
-the episode is the final row minimum. ``penalty="cumulative"``: the row minimum itself, the paper's
-equation. The latter two pay for ending early. See :mod:`animarl_envs.dtw`.
+recording lasts; afterwards ``refund`` takes back what the world pays for lasting.
+``penalty="increment"``: the step's increase of ``min_j W(t, j)``, whose sum over the episode is the
+final row minimum. ``penalty="cumulative"``: the row minimum itself, the paper's equation. The
+latter two pay for ending early. See :mod:`animarl_envs.dtw`.
 
-Infos: ``task_reward``, ``dtw_penalty`` (before weighting), ``dtw_distance`` (the row minimum) and
-``aligned_step`` (the recorded step aligned with the present one).
+Infos: ``task_reward``, ``dtw_penalty`` (before weighting), ``dtw_refund``, ``dtw_distance`` (the
+row minimum) and ``aligned_step`` (the recorded step aligned with the present one).
 """
 
 from typing import Any, Literal
@@ -168,11 +169,12 @@ class _DTW:
     def _shape(self, f: int, reward: float, info: dict[str, Any]) -> float:
         """Return the reward of the tracked individual ``f``; write its parts to ``info``."""
         tracker = self._tracker
-        cost = float(tracker.penalty[0, f])
+        cost, refund = float(tracker.penalty[0, f]), float(tracker.refund[0, f])
         info["task_reward"], info["dtw_penalty"] = float(reward), cost
+        info["dtw_refund"] = refund
         info["dtw_distance"] = float(tracker.row_minimum[0, f])
         info["aligned_step"] = int(tracker.aligned[0, f])
-        return float(reward) - self.alpha * cost
+        return float(reward) - refund - self.alpha * cost
 
 
 class DTWReward(_DTW, gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
@@ -194,7 +196,7 @@ class DTWReward(_DTW, gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """
 
     view = AnimalEnv
-    feedback = ("task_reward", "dtw_penalty", *AnimalEnv.feedback)
+    feedback = ("task_reward", "dtw_penalty", "dtw_refund", *AnimalEnv.feedback)
     """What learners that need it look for before they start."""
 
     def __init__(
@@ -226,13 +228,15 @@ class DTWRewardVector(_DTW, VectorWrapper):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         tracker = self._tracker
-        cost = np.where(self.env.unwrapped.reset_by_step, 0.0, tracker.penalty[:, 0])  # type: ignore[attr-defined]
-        paid = {"task_reward": rewards, "dtw_penalty": cost}
+        stepped = ~self.env.unwrapped.reset_by_step  # type: ignore[attr-defined]
+        cost, refund = (np.where(stepped, c[:, 0], 0.0) for c in (tracker.penalty, tracker.refund))
+        paid = {"task_reward": rewards, "dtw_penalty": cost, "dtw_refund": refund}
         self._note(infos, paid, tracker.row_minimum, tracker.aligned, ~np.zeros_like(terminated))
         if "final_info" in infos:
             final, ended = infos["final_info"], infos["_final_info"]
             self._note(final, paid, tracker.final_minimum, tracker.final_aligned, ended)
-        return observations, rewards - self.alpha * cost, terminated, truncated, infos
+        shaped = rewards - refund - self.alpha * cost
+        return observations, shaped, terminated, truncated, infos
 
     def _note(self, infos: dict[str, Any], paid: Any, distance: Any, step: Any, whose: Any) -> None:
         """Write down what was paid, and where each copy of ``whose`` stands."""
@@ -258,7 +262,8 @@ class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]
         """Start anew; ``infos`` have the names of a step, all 0."""
         observations, infos = self.env.reset(seed=seed, options=options)
         for info in infos.values():
-            info |= {"task_reward": 0.0, "dtw_penalty": 0.0, "dtw_distance": 0.0, "aligned_step": 0}
+            info |= dict.fromkeys(("task_reward", "dtw_penalty", "dtw_refund"), 0.0)
+            info |= {"dtw_distance": 0.0, "aligned_step": 0}
         return observations, infos
 
     def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:

@@ -274,7 +274,8 @@ def test_the_task_reward_is_stored_where_the_reward_is_shaped_already() -> None:
     class Watch(BaseCallback):
         def _on_step(self) -> bool:
             shaped[-1].append(self.locals["rewards"][0])
-            task[-1].append(self.locals["infos"][0]["task_reward"])
+            info = self.locals["infos"][0]
+            task[-1].append(info["task_reward"] - info["dtw_refund"])
             if self.locals["dones"][0]:
                 shaped.append([])
                 task.append([])

@@ -106,7 +106,7 @@ def test_the_score_is_the_task_reward_and_closeness(small: Path) -> None:
     task = closeness = 0.0
     while True:
         _, _, done, infos = scored.step(np.full(3, 6))
-        task += scored.extras["task_reward"]
+        task += scored.extras["task_reward"] - scored.extras["dtw_refund"]
         closeness -= scored.extras["dtw_penalty"]
         if done.all():
             break

@@ -126,8 +126,14 @@ def expected_penalty(world: Walk, copy: int, who: int, kind: str) -> float:
     recorded = world.recorded(copy)[:, who]
     if world.step_count[copy] < len(recorded):
         return -float(closeness(np.array(world.paths[copy])[:, who], recorded, 2, 0.8)[-1])
-    named = "elapsed" in world.reward_components  # what is paid for lasting is taken back
-    return float(world.components[copy, who, 1]) if named else 0.0
+    return 0.0
+
+
+def expected_refund(world: Walk, copy: int, who: int, kind: str) -> float:
+    """Of what is paid for lasting, after the recording."""
+    over = world.step_count[copy] >= len(world.recorded(copy))
+    named = "elapsed" in world.reward_components and kind == "closeness"
+    return float(world.components[copy, who, 1]) if over and named else 0.0
 
 
 @pytest.mark.parametrize(
@@ -150,6 +156,7 @@ def test_each_copy_and_individual_has_its_own_rows(kind: str, named: bool) -> No
                 assert follows.row_minimum[b, f] == pytest.approx(row.min())
                 assert follows.aligned[b, f] == row.argmin()
                 assert follows.penalty[b, f] == pytest.approx(expected_penalty(world, b, who, kind))
+                assert follows.refund[b, f] == expected_refund(world, b, who, kind)
         minimum, aligned = follows.row_minimum.copy(), follows.aligned.copy()
         again = world.rng.random(COPIES) < 0.1
         world.start(again)

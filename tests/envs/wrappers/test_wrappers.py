@@ -139,12 +139,14 @@ def test_single_view_pays_every_row_as_the_textbook_says() -> None:
         np.testing.assert_allclose(penalty, np.diff(rows.min(axis=1)), atol=1e-9)
 
 
+@pytest.mark.parametrize("alpha", [1.0, 0.5, 5.0])
 @pytest.mark.parametrize("focal", ["predator_0", "prey"])
 def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_lasts(
-    focal: str,
+    focal: str, alpha: float
 ) -> None:
     """The prey coasts, so that it outlives its recording: there its pay for lasting is refunded."""
-    env = DTWReward(gym.make("AnimaRL/Agent-v0", focal=focal, others="coast", recorded=True))
+    agent = gym.make("AnimaRL/Agent-v0", focal=focal, others="coast", recorded=True)
+    env = DTWReward(agent, alpha)
     scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
     rng, outlived = np.random.default_rng(1), 0
     for seed in range(6):
@@ -158,7 +160,7 @@ def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_las
         lasting = np.zeros(len(paid))
         if focal == "prey":
             lasting[beyond] = np.where(task[beyond] > 0.0, scenario.species.dt, 0)
-        np.testing.assert_allclose(rewards, task + paid - lasting, atol=1e-9)
+        np.testing.assert_allclose(rewards, task + alpha * paid - lasting, atol=1e-9)
         outlived += len(paid[beyond])
     assert outlived > 50
 
