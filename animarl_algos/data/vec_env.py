@@ -15,7 +15,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize, is_vecenv_wrapped
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecEnv,
+    VecEnvWrapper,
+    VecNormalize,
+    is_vecenv_wrapped,
+)
 
 from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
 from animarl_algos.losses.terms import Recipe
@@ -345,9 +351,15 @@ class SlotLayout:
                 f"the environment has {env.num_envs} slots, not {num_copies} copies of "
                 f"{len(individuals)} individuals: make num_copies and individuals agree"
             )
+        flagged = bool(declared(env, "condition_flag"))
+        if flagged and not is_observed_as_declared(env, "condition_flag"):
+            raise InputError(
+                "a wrapper around the condition flag changes the observation, whose last component "
+                "must be the flag: put the condition flag outermost, or leave that wrapper out"
+            )
         observed = getattr(env, "observed", ())
         known = observed if isinstance(observed, tuple) else ()  # another's word for something else
-        return cls(num_copies, individuals, bool(declared(env, "condition_flag")), known)
+        return cls(num_copies, individuals, flagged, known)
 
 
 def check_observation(space: gym.Space[Any]) -> None:
@@ -433,6 +445,21 @@ def declared(env: Any, name: str) -> Any:
     if not isinstance(env, VecEnv) or hasattr(env, name):
         return getattr(env, name, None)
     return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
+
+
+def is_observed_as_declared(env: VecEnv, name: str) -> bool:
+    """Whether no wrapper around what has the attribute ``name`` has another observation space."""
+    layer: Any = env
+    while name not in vars(layer) and not hasattr(type(layer), name):
+        if isinstance(layer, VecEnvWrapper):
+            layer = layer.venv
+        elif isinstance(layer, DummyVecEnv):
+            layer = layer.envs[0]
+        elif isinstance(layer, gym.Wrapper):
+            layer = layer.env
+        else:
+            break  # in another process
+    return bool(layer.observation_space == env.observation_space)
 
 
 def declared_feedback(env: VecEnv) -> tuple[str, ...]:

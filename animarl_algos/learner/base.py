@@ -25,6 +25,7 @@ from animarl_algos.data.vec_env import (
     check_observation,
     declared,
     demonstrations_in,
+    is_observed_as_declared,
     refuse_other_actions,
     refuse_other_slots,
 )
@@ -457,8 +458,10 @@ class BaseLearner(OffPolicyAlgorithm):
             ],
         }
         arrays: dict[str, NDArray[Any]] = {}
-        if self.env is not None and hasattr(self.env, "get_state") and self._last_obs is not None:
-            arrays = {f"env/{key}": value for key, value in self.env.get_state().items()}
+        env: Any = self.env
+        whole = hasattr(env, "get_state") and is_observed_as_declared(env, "get_state")
+        if whole and self._last_obs is not None:
+            arrays = {f"env/{key}": value for key, value in env.get_state().items()}
             arrays["last_observation"] = np.asarray(self._last_obs)
             arrays["episode_starts"] = np.asarray(self._last_episode_starts)
             arrays["hidden"], arrays["previous_action"] = self.memory
@@ -474,8 +477,8 @@ class BaseLearner(OffPolicyAlgorithm):
     def restore_training_state(self, state: checkpoint.State) -> None:
         """Go on from a :meth:`training_state`.
 
-        An environment without ``get_state`` and ``set_state`` starts new episodes instead of
-        continuing those that were running.
+        An environment without ``get_state`` and ``set_state``, or in a wrapper that changes its
+        observations, starts new episodes instead of continuing those that were running.
         """
         counters, arrays, tensors = state
         policy, average = self.policy, tensors["average_weights"]

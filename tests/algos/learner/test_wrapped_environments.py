@@ -1,17 +1,19 @@
 """What a learner makes of environments that are wrapped, or of other packages."""
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from refusals import refuses
-from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecFrameStack
 
 import animarl_envs
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.recipes.registry import DQDIL, DQN
-from animarl_envs.wrappers import DTWReward
+from animarl_algos.learner.checkpoint import load_checkpoint, save_checkpoint
+from animarl_algos.recipes.registry import DQCIL, DQDIL, DQN
+from animarl_envs.wrappers import ConditionFlag, DTWReward
 
 assert animarl_envs  # registers the ids
 
@@ -89,3 +91,31 @@ def test_two_weights_of_the_distance_are_refused() -> None:
     sentence = "alpha is 50.0 of the environment's DTW reward and 1.0 of the learner"
     refuses(sentence, DQDIL, "MlpPolicy", env, **FEW)
     DQDIL("MlpPolicy", env, **FEW, alpha=50.0).learn(20)
+
+
+def flagged() -> Any:
+    return ConditionFlag(DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True)))
+
+
+@pytest.mark.parametrize(
+    "env",
+    [
+        lambda: VecFrameStack(SlotVecEnv("agent", 2, condition_flag=True), 2),
+        lambda: gym.wrappers.TimeAwareObservation(flagged()),
+    ],
+)
+def test_a_condition_flag_that_is_not_the_last_component_is_refused(env: Any) -> None:
+    refuses("put the condition flag outermost", DQCIL, "MlpPolicy", env(), **FEW)
+    DQCIL("MlpPolicy", gym.wrappers.TimeLimit(flagged(), 10), **FEW).learn(20)
+
+
+def test_running_episodes_in_a_wrapper_with_a_state_of_its_own_begin_anew(tmp_path: Path) -> None:
+    models = [
+        DQN("MlpPolicy", wrap(SlotVecEnv("agent", 2)), **FEW).learn(20)
+        for wrap in (lambda env: env, lambda env: VecFrameStack(env, 3))
+    ]
+    for model, goes_on in zip(models, (True, False), strict=True):
+        save_checkpoint(model, tmp_path)
+        load_checkpoint(model, tmp_path)
+        assert (model._last_obs is not None) is goes_on
+        model.learn(20, reset_num_timesteps=False)
