@@ -28,10 +28,11 @@ class InputError(ValueError):
     :class:`ValueError`. Names from files may stand in it: what cannot be printed is written out.
     """
 
-    def __init__(self, message: str) -> None:
+    def __init__(self, message: object) -> None:
         # Gymnasium raises a TypeError of a constructor anew with all keyword arguments appended,
-        # arrays on many lines among them; the sentence is enough.
-        sentence = message.partition(_APPENDED_BY_GYMNASIUM)[0]
+        # arrays on many lines among them; the sentence is enough. Its process vectors raise an
+        # error anew of the error itself.
+        sentence = str(message).partition(_APPENDED_BY_GYMNASIUM)[0]
         super().__init__(printable(sentence).replace("\n", " "))
 
 

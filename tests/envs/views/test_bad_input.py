@@ -309,3 +309,9 @@ def test_numbers_may_be_numpys(view: str) -> None:
     said = env.scenario_data if view == "parallel" else info["scenario"]
     said = said[0] if view == "vector" else said
     assert [said[key] for key in numbers if key != "arena"] == [1, 0.5, 2, 9, 0.1, 0.125]
+
+
+@pytest.mark.parametrize("kind", [InputError, UnknownOptionError])
+def test_an_error_that_is_made_anew_of_itself_is_the_same_sentence(kind: Any) -> None:
+    """As Gymnasium's process vectors raise it."""
+    assert str(kind(kind("action 99 is out of range"))) == "action 99 is out of range"
