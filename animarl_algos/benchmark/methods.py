@@ -92,9 +92,11 @@ class MethodSetting:
         Its observations are those that the method is asked about afterwards: where recordings of
         both conditions are there, the last component is the condition.
         """
-        return SlotVecEnv(
+        env = SlotVecEnv(
             self.species, self.copies, demos=self.demos, condition_flag=None, **self.options
         )
+        env.seed(self.seed)
+        return env
 
 
 class CheckedPolicy:

@@ -149,14 +149,21 @@ class SlotVecEnv(VecEnv):
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
         self._pending: NDArray[np.int64] | None = None
+        self._started = False
         self.labels = (labels, label_width, label_horizon)
         self._offline_data: SpeciesDemonstrations | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
 
     def reset(self) -> NDArray[np.float32]:
-        """New episodes in all copies; observations ``(slots, n)``."""
-        seed = self._seeds[0]
+        """New episodes in all copies; observations ``(slots, n)``.
+
+        The first seed is drawn anew where none was given.
+        """
+        seed: Any = self._seeds[0]
+        if seed is None and not self._started:
+            seed = np.random.SeedSequence().entropy
+        self._started = True
         if seed is not None:
             streams = np.random.SeedSequence(seed).generate_state(self.num_copies, np.uint64)
             self.world.seed(streams)
@@ -260,6 +267,7 @@ class SlotVecEnv(VecEnv):
         """Continue from what :meth:`get_state` gave."""
         self.world.set_state(state)
         self._return[...] = state["return"]
+        self._started = True
 
     # -- the rest of the interface ----------------------------------------------------------------
 

@@ -121,6 +121,15 @@ def test_the_condition_is_the_last_component_if_asked_for() -> None:
     assert np.array_equal(flipped.reset()[:, -1], 1 - observations[:, -1])
 
 
+def test_without_a_seed_episodes_differ() -> None:
+    first, second = SlotVecEnv("newt", 8), SlotVecEnv("newt", 8)
+    first.reset(), second.reset()
+    assert first.world.demo.tolist() != second.world.demo.tolist()
+    seen = first.world.demo.tolist()
+    first.reset()
+    assert first.world.demo.tolist() != seen  # the stream goes on
+
+
 def test_one_focal_individual_learns_while_the_others_replay() -> None:
     venv = SlotVecEnv("agent", 5, focal="prey")
     venv.seed(0)
