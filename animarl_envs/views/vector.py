@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -94,18 +95,22 @@ class AnimalVectorEnv(  # type: ignore[misc]
         return super().time_limit if self._most is None else min(super().time_limit, self._most)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start new episodes; ``options={"reset_mask": mask}`` in those copies only, and
         ``{"demo": i}`` from that demonstration (one number, or one per copy, -1 for any).
 
-        A list of seeds has one per copy; where it is ``None`` the copy's stream goes on.
+        A list of seeds has one per copy; where it is ``None``, and where a mask leaves an episode
+        running, the copy's stream goes on.
         """
         given = common.reset_options(options, "demo", "reset_mask")
-        self._seed(seed)
         mask = np.array(given.get("reset_mask", self._all), dtype=bool)
         if mask.shape != (self.num_envs,):
             raise InputError(f"reset_mask has shape {mask.shape}: give ({self.num_envs},)")
+        self._seed(seed, mask)
         demo = common.chosen_demos(given.get("demo"), self.scenario, self.num_envs)
         self.world.reset(mask, demo=demo)
         self._started = True
@@ -117,9 +122,12 @@ class AnimalVectorEnv(  # type: ignore[misc]
         described[:] = [json.loads(self._description)] * self.num_envs
         return self._observation(), self._masked(infos | {"scenario": described})
 
-    def _seed(self, seed: int | list[int | None] | None) -> None:
-        """Start the random streams: before the first episode, and whenever a seed is given."""
-        listed = seed if isinstance(seed, list) else None
+    def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
+        """Start the random streams: before the first episode, and whenever a seed is given.
+
+        Those of copies that run on, outside of ``mask``, stay.
+        """
+        listed = list(seed) if isinstance(seed, list | tuple) else None
         if seed is None and self._started:
             return
         if listed is not None and len(listed) != self.num_envs:
@@ -128,14 +136,15 @@ class AnimalVectorEnv(  # type: ignore[misc]
         super().reset(seed=one)  # type: ignore[arg-type]  # Gymnasium's own generator
         if seed is None or (listed is not None and not self._started):
             self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
+        streams, kept = self.world.random_state.copy(), ~mask & self._started
         if isinstance(seed, int | np.integer):
             self.world.seed(
                 np.arange(self.num_envs, dtype=np.uint64) + common.stream_seed(int(seed))
             )
         elif listed is not None:
-            streams, kept = self.world.random_state.copy(), np.array([s is None for s in listed])
+            kept |= np.array([s is None for s in listed])
             self.world.seed(np.array([common.stream_seed(s or 0) for s in listed]))
-            self.world.random_state[kept] = streams[kept]
+        self.world.random_state[kept] = streams[kept]
 
     def step(
         self, actions: NDArray[np.int64]

@@ -231,6 +231,20 @@ def test_disabled_autoreset_wants_a_mask() -> None:
     vector.step(np.full(4, 12))
 
 
+@pytest.mark.parametrize("seed", [9, [9, 10], (9, 10), (None, 4)])
+def test_a_seed_does_not_touch_copies_that_run_on(seed: Any) -> None:
+    """As in Gymnasium's own vectors."""
+    found = []
+    for mode in (None, "sync"):
+        envs = gym.make_vec("AnimaRL/Newt-v0", 2, vectorization_mode=mode, time_limit=12)
+        envs.reset(seed=3)
+        envs.step(np.array([1, 1]))
+        envs.reset(seed=seed, options={"reset_mask": np.array([True, False])})
+        demos = [envs.step(np.array([1, 1]))[4]["demo"].tolist() for _ in range(15)]
+        found.append(demos)
+    assert found[0] == found[1]
+
+
 HUGE = 2**200
 
 
