@@ -209,7 +209,8 @@ class EvaluateIndividuals(BaseCallback):
     episodes, deterministic
         Of :func:`evaluate_individuals`.
     seed
-        Of the environment at each evaluation, so that all start alike; ``None``: they go on.
+        Of the environment and of the policy's draws at each evaluation, so that all are alike;
+        ``None``: they go on.
 
     Attributes
     ----------
@@ -247,11 +248,15 @@ class EvaluateIndividuals(BaseCallback):
 
     def evaluate(self) -> IndividualReturns:
         """Evaluate now, log and keep what was found."""
+        policy = self.model.policy
+        acting = policy.random_state  # training goes on with the draws it would have had
         if self.seed is not None:
             self.env.seed(self.seed)
+            policy.seed(self.seed)
         found = evaluate_individuals(
             self.model, self.env, self.episodes, deterministic=self.deterministic
         )
+        policy.random_state = acting
         for name, mean in found.mean.items():
             self.logger.record(f"eval/mean_reward/{name}", mean)
             if self.verbose:

@@ -171,6 +171,20 @@ def test_clients_can_log_each_individual_while_learning(tmp_path: Path) -> None:
         assert f"eval/mean_reward/{name}" in header
 
 
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_clients_learn_the_same_whether_they_evaluate_or_not(deterministic: bool) -> None:
+    models = [short(slots()) for _ in range(2)]
+    scored = EvaluateIndividuals(slots(), every=30, episodes=2, deterministic=deterministic)
+    actions = []
+    for model, callback in zip(models, (None, scored), strict=True):
+        model.learn(100, callback=callback)
+        assert model.replay_buffer is not None
+        actions.append(model.replay_buffer.frames.actions)
+    np.testing.assert_array_equal(*actions)
+    first, second = (found.returns for _, found in scored.history[:2])
+    np.testing.assert_array_equal(first, second)  # the seed is that of the draws too
+
+
 @pytest.mark.parametrize("given", [{"every": 0}, {"episodes": 0}])
 def test_clients_who_never_evaluate_are_told(given: dict[str, int]) -> None:
     refuses(next(iter(given)), EvaluateIndividuals, slots(), **given)
