@@ -296,6 +296,12 @@ class BaseLearner(OffPolicyAlgorithm):
             **ReplaySettings.read(self.replay_buffer_kwargs, "replay_buffer_kwargs: "),
         )
 
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """Seed torch, NumPy, the environment and the acting draws."""
+        super().set_random_seed(seed)
+        if seed is not None and "policy" in vars(self):  # later than the first call
+            self.policy.seed(seed)
+
     @property
     def q_net(self) -> StackedQNetwork:
         """The policy's network, under stable-baselines3's name for it."""

@@ -185,6 +185,15 @@ def test_clients_learn_the_same_whether_they_evaluate_or_not(deterministic: bool
     np.testing.assert_array_equal(first, second)  # the seed is that of the draws too
 
 
+def test_clients_repeat_draws_by_seeding_the_model() -> None:
+    model, drawn = short(slots()), []
+    observation = np.zeros((6, *model.observation_space.shape), np.float32)
+    for _ in range(2):
+        model.set_random_seed(5)
+        drawn.append([model.predict(observation)[0].tolist() for _ in range(20)])
+    assert drawn[0] == drawn[1]
+
+
 @pytest.mark.parametrize("given", [{"every": 0}, {"episodes": 0}])
 def test_clients_who_never_evaluate_are_told(given: dict[str, int]) -> None:
     refuses(next(iter(given)), EvaluateIndividuals, slots(), **given)
