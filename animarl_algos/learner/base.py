@@ -44,7 +44,6 @@ from animarl_algos.learner.settings import (
     as_frequency,
     check_setting_combinations,
     declared_limit,
-    default_settings,
     longest_episode,
     settings_prose,
     translate_policy_kwargs,
@@ -70,6 +69,11 @@ NOT_IN_ZIP = (
     "_last_obs", "_last_episode_starts", "_last_original_obs",
 )  # fmt: skip
 """What a loaded learner makes anew, beside what stable-baselines3 leaves out."""
+OF_LOAD = (
+    "env", "device", "custom_objects", "print_system_info", "force_reset", "verbose",
+    "tensorboard_log", "seed", "demonstrations",
+)  # fmt: skip
+"""What ``load`` takes beside settings."""
 COUNTERS = (
     "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates",
     "_current_progress_remaining", "exploration_rate", "root_seed",
@@ -402,12 +406,16 @@ class BaseLearner(OffPolicyAlgorithm):
         ------
         InputError
             If another class saved it, ``env`` has other individuals or shows other things, or a
-            setting given anew is out of its range.
+            setting given anew is unknown, out of its range, or does not go with the others.
         """
-        given = {name: keywords[name] for name in default_settings() if name in keywords}
+        given = {name: value for name, value in keywords.items() if name not in OF_LOAD}
         keywords |= check_settings(given)
         with checkpoint.loading(path, cls._kind()):
-            return super().load(path, *arguments, **keywords)
+            model = super().load(path, *arguments, **keywords)
+        if given:
+            recurrent = model.policy_class.recurrent
+            check_setting_combinations(vars(model), cls.recipe, recurrent, cls.quantiles)
+        return model
 
     def save_replay_buffer(self, path: checkpoint.Place) -> None:
         """Write the replay memory as an ``npz`` archive, whatever the name of ``path``."""

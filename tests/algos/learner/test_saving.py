@@ -109,6 +109,24 @@ def test_saved_settings_are_taken_as_they_were(tmp_path: Path) -> None:
     assert DQN.load(tmp_path / "model", env=toys.Pair(2), device="cpu").learn(20).gradient_steps
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"gradient_steps": 0}, "gradient_steps is 0"),
+        ({"gradient_steps": 3}, "train_freq counts episodes"),
+        ({"sequence_length": 4, "n_steps": 5}, "n_steps is 5"),
+        ({"offline_epochs": 2}, "learns without demonstrations"),
+        ({"gama": 0.5}, "setting 'gama' is unknown"),
+    ],
+)
+def test_settings_given_anew_are_checked_as_those_of_a_new_learner(
+    given: dict[str, Any], words: str, saved: Path
+) -> None:
+    refuses(words, DQN.load, saved, env=toys.Pair(2), device="cpu", **given)
+    more = {"seed": 1, "verbose": 0, "tensorboard_log": None, "demonstrations": None}
+    assert DQN.load(saved, env=toys.Pair(2), device="cpu", gamma=0.5, **more).gamma == 0.5
+
+
 class Stop(Exception):
     pass
 
