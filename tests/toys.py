@@ -37,6 +37,10 @@ class Toy(VecEnv):
             num_copies * len(self.individuals), space, spaces.Discrete(self.num_actions)
         )
 
+    @property
+    def max_episode_steps(self) -> int:
+        return self.time_limit
+
     # -- hooks ------------------------------------------------------------------------------------
 
     def begin(self, copies: NDArray[np.intp]) -> None:

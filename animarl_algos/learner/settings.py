@@ -29,6 +29,7 @@ from torch import nn
 from typing_extensions import TypedDict
 
 from animarl_algos.checked import Checked, prose
+from animarl_algos.data.vec_env import declared
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.replay.sequence_buffer import StateMode
@@ -334,17 +335,20 @@ def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
 def declared_limit(env: VecEnv) -> int | None:
     """Return the time limit [steps] that an environment tells of itself, if any.
 
-    That is ``max_episode_steps`` or ``time_limit`` of the VecEnv or of its environments, or what
-    the Gymnasium specs say; of several the longest.
+    That is ``max_episode_steps`` of the VecEnv or of its environments, ``time_limit`` of AnimaRL's,
+    or what the Gymnasium specs say; of several the longest.
     """
     # The last is that of Gymnasium's TimeLimit, around an environment without a spec.
-    for name in ("max_episode_steps", "time_limit", "_max_episode_steps"):
-        declared = getattr(env, name, None)
-        if declared is None and env.has_attr(name):
+    names = ["max_episode_steps", "time_limit", "_max_episode_steps"]
+    if declared(env, "scenario") is None:
+        names.remove("time_limit")  # another package's, maybe in seconds
+    for name in names:
+        limit = getattr(env, name, None)
+        if limit is None and env.has_attr(name):
             each = env.get_attr(name)
-            declared = None if None in each else max(each)
-        if declared is not None:
-            return int(declared)
+            limit = None if None in each else max(each)
+        if limit is not None:
+            return int(limit)
     limits = [spec.max_episode_steps for spec in env.get_attr("spec") if spec is not None]
     return max(map(int, limits)) if limits and all(limits) else None
 

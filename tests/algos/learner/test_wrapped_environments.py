@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.classic_control import CartPoleEnv
 from refusals import refuses
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecFrameStack
 
@@ -119,3 +120,13 @@ def test_running_episodes_in_a_wrapper_with_a_state_of_its_own_begin_anew(tmp_pa
         load_checkpoint(model, tmp_path)
         assert (model._last_obs is not None) is goes_on
         model.learn(20, reset_num_timesteps=False)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 5.0])
+def test_a_time_limit_of_another_package_may_be_in_seconds(seconds: float) -> None:
+    class Seconds(CartPoleEnv):
+        time_limit = seconds
+
+    model = DQN("MlpPolicy", gym.wrappers.TimeLimit(Seconds(), 20), **FEW).learn(60)
+    assert model.episode_limit == 20
+    refuses("does not say how long", DQN, "MlpPolicy", Seconds(), **FEW)
