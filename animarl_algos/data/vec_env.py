@@ -32,7 +32,12 @@ from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario, refuse_other_species
 from animarl_envs.species import Species, resolve_variant
-from animarl_envs.views.common import check_actions, observation_space
+from animarl_envs.views.common import (
+    check_actions,
+    chosen_demos,
+    observation_space,
+    reset_options,
+)
 from animarl_envs.views.single import AnimalEnv
 from animarl_envs.worlds import make_world
 from animarl_envs.wrappers import Cue, check_cue, cue_of, with_flag
@@ -158,8 +163,12 @@ class SlotVecEnv(VecEnv):
     def reset(self) -> NDArray[np.float32]:
         """New episodes in all copies; observations ``(slots, n)``.
 
-        The first seed is drawn anew where none was given.
+        The first seed is drawn anew where none was given. ``set_options({"demo": i})`` before it
+        chooses the demonstration, as in other views.
         """
+        given = [reset_options(one, "demo") for one in self._options[:: len(self.individuals)]]
+        wanted = [one.get("demo", -1) for one in given] if any(given) else None
+        demo = chosen_demos(wanted, self.scenario, self.num_copies)
         seed: Any = self._seeds[0]
         if seed is None and not self._started:
             seed = np.random.SeedSequence().entropy
@@ -169,7 +178,7 @@ class SlotVecEnv(VecEnv):
             self.world.seed(streams)
         self._reset_seeds()
         self._reset_options()
-        self.world.reset()
+        self.world.reset(demo=demo)
         self._return[:] = 0.0
         return self._observation()
 

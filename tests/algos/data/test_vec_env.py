@@ -121,6 +121,24 @@ def test_the_condition_is_the_last_component_if_asked_for() -> None:
     assert np.array_equal(flipped.reset()[:, -1], 1 - observations[:, -1])
 
 
+def test_options_choose_the_demonstration_of_one_reset() -> None:
+    env = SlotVecEnv("newt", 3)
+    env.seed(0)
+    env.set_options({"demo": 5})
+    env.reset()
+    assert env.world.demo.tolist() == [5, 5, 5]
+    each: list[dict[str, Any]] = [{"demo": b} if b else {} for b in range(3) for _ in range(3)]
+    env.set_options(each)
+    env.reset()
+    assert env.world.demo.tolist()[1:] == [1, 2]
+    env.set_options({"demo": 10**6})
+    refuses("demo 1000000 does not exist", env.reset)
+    env.set_options({"foo": 1})
+    refuses("reset has no option 'foo'", env.reset)
+    env.set_options()
+    env.reset()
+
+
 def test_without_a_seed_episodes_differ() -> None:
     first, second = SlotVecEnv("newt", 8), SlotVecEnv("newt", 8)
     first.reset(), second.reset()
