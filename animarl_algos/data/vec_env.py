@@ -19,8 +19,7 @@ from stable_baselines3.common.vec_env import (
     DummyVecEnv,
     VecEnv,
     VecEnvWrapper,
-    VecNormalize,
-    is_vecenv_wrapped,
+    unwrap_vec_normalize,
 )
 
 from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
@@ -356,10 +355,16 @@ class SlotLayout:
 
     @classmethod
     def of(cls, env: VecEnv) -> SlotLayout:
-        if is_vecenv_wrapped(env, VecNormalize):
+        scaled = unwrap_vec_normalize(env)
+        if scaled is not None and scaled.norm_obs:
             raise InputError(
                 "VecNormalize would change the scale of observations that the replay memory holds: "
                 "give the learner standardise_inputs=True instead"
+            )
+        if scaled is not None and scaled.norm_reward:
+            raise InputError(
+                "VecNormalize would change the scale of rewards that the replay memory holds: give "
+                "it norm_reward=False"
             )
         individuals = tuple(getattr(env, "individuals", ("agent",)))
         num_copies = int(getattr(env, "num_copies", env.num_envs))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.classic_control import CartPoleEnv
 from refusals import refuses
-from stable_baselines3.common.vec_env import VecEnvWrapper, VecFrameStack
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecFrameStack, VecNormalize
 
 import animarl_envs
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -130,3 +130,12 @@ def test_a_time_limit_of_another_package_may_be_in_seconds(seconds: float) -> No
     model = DQN("MlpPolicy", gym.wrappers.TimeLimit(Seconds(), 20), **FEW).learn(60)
     assert model.episode_limit == 20
     refuses("does not say how long", DQN, "MlpPolicy", Seconds(), **FEW)
+
+
+def test_only_what_a_normaliser_changes_is_refused() -> None:
+    def normalised(**what: bool) -> VecNormalize:
+        return VecNormalize(SlotVecEnv("agent", 2), **what)
+
+    DQN("MlpPolicy", normalised(norm_obs=False, norm_reward=False), **FEW).learn(20)
+    refuses("norm_reward=False", DQN, "MlpPolicy", normalised(norm_obs=False), **FEW)
+    refuses("standardise_inputs=True", DQN, "MlpPolicy", normalised(norm_reward=False), **FEW)
