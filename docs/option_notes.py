@@ -107,8 +107,8 @@ NOTES: dict[str, tuple[str, str]] = {
 CHASE_ONLY: dict[str, tuple[str, str]] = {
     "num_pursuers": (
         "a whole number, at least 1",
-        "number of pursuers; with fewer than recorded, the first ones are used; with more, starts "
-        'are random (`start="uniform"`)',
+        "number of pursuers; with fewer than recorded, the first ones are used; with more, give "
+        '`start="uniform"` or positions',
     ),
     "num_targets": (
         "a whole number, at least 1",
@@ -179,8 +179,8 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
 FREE_ONLY: dict[str, tuple[str, str]] = {
     "num_pursuers": (
         "a whole number, at least 1",
-        "number of animals; with fewer than recorded, the first ones are used; with more, starts "
-        'are random (`start="uniform"`)',
+        "number of animals; with fewer than recorded, the first ones are used; with more, give "
+        '`start="uniform"` or positions',
     ),
 }
 

@@ -46,6 +46,8 @@ class AnimalVectorEnv(  # type: ignore[misc]
     tells which copies the last ``step`` has reset instead of stepped (``NEXT_STEP``). ``infos``
     hold what those of an :class:`~animarl_envs.views.single.AnimalEnv` do, as arrays
     ``(num_envs,)``, each with its mask ``_key``; ``scenario`` is one dictionary that all share.
+    Only those of ``reset`` have ``scenario``, and only those of ``step`` have ``warmup`` and
+    ``executed``, which say nothing of a copy that the step has reset.
     """
 
     metadata: dict[str, Any] = {
