@@ -48,6 +48,18 @@ def episodes_along(paths: Sequence[NDArray[np.float64]], **more: Any) -> Demonst
     return Demonstrations(**given | more)
 
 
+def cut_short(demos: Demonstrations, frames: int) -> Demonstrations:
+    """The first frames of every episode, as of films that were stopped then."""
+    frame = np.concatenate([np.arange(length) for length in demos.lengths])
+    return replace(
+        demos,
+        positions=demos.positions[frame < frames],
+        signals={name: values[frame < frames] for name, values in demos.signals.items()},
+        lengths=np.minimum(demos.lengths, frames),
+        outcome=np.full(len(demos), UNFINISHED),
+    )
+
+
 def begun(scenario: Scenario, copies: int = 1, first: int = 0) -> Any:
     """A world at the start of its first episodes, its copies seeded from ``first`` on."""
     world = make_world(scenario, copies)

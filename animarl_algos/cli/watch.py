@@ -1,6 +1,7 @@
 """``animarl watch``: see an environment move, in a window or as a clip."""
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from animarl_algos.cli.shared import PlainConsole, helps, load, named_split
 from animarl_algos.runs.run_settings import environment_options
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.summary import ending_in_words
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
@@ -46,7 +48,8 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
     "or their script.",
     condition="0, 1, or that of the demonstration.",
     demos="Demonstrations: packaged, none, or a file.",
-    split="Episodes to start from: train, val, test or all.",
+    split="Episodes to start from: train, val, test or all; by default test with --model, else "
+    "train.",
     fps="Steps shown per second.",
     size="Width of the picture in pixels.",
 )
@@ -63,7 +66,7 @@ def watch_command(
     by: Rule | None = None,
     condition: Literal["0", "1", "demo"] = "demo",
     demos: str = "packaged",
-    split: str = "train",
+    split: str | None = None,
     fps: float = 10.0,
     size: int = 600,
 ) -> None:
@@ -102,7 +105,7 @@ def watch_command(
             acting=acting,
             replayed=title == "recorded",
             demos=None if demos == "none" else demos,
-            split=named_split(split),
+            split=named_split(split or ("train" if model is None else "test")),
             condition="demo" if condition == "demo" else int(condition),
         )
         renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
@@ -284,21 +287,32 @@ def play(
 ) -> Iterator[NDArray[np.uint8]]:
     """Run episodes and draw every step; yields the pictures, or nothing for a window.
 
-    ``endings`` collects one sentence per episode; ``on_step`` is called after every step; ``title``
-    stands in the pictures in place of the species' title.
+    A recording that all individuals replay ends the episode at its last frame. ``endings`` collects
+    one sentence per episode; ``on_step`` is called after every step; ``title`` stands in the
+    pictures in place of the species' title, followed by the name of a recording that is replayed.
     """
-    recorder = SceneRecorder(world, title=title)
+    recorder, replays = SceneRecorder(world, title=title), {*world.scenario.drivers} == {"replay"}
     for _ in range(episodes):
         world.reset()
+        source, last, end = "", np.inf, ""
+        if world.demos is not None and world.demo[0] >= 0:
+            demo = world.demos.episode(int(world.demo[0]))
+            source = f"{demo.recording}, {demo.split}"
+            if replays:
+                last = len(demo.positions) - 1
+                end = ending_in_words(demo.outcome, world.demos.individuals, world.demos.roles)
+                recorder.title = title and f"{title}: {source}"
         recorder.start()
         scene, start = recorder.scene(), True
         while True:
+            over = bool(world.terminated[0] or world.truncated[0])
+            if not over and scene.step >= last:
+                over, scene = True, replace(scene, note=end or "recording ended")
             picture = renderer.draw(scene)
             if renderer.closed:
                 return
             if picture is not None:
                 yield picture
-            over = bool(world.terminated[0] or world.truncated[0])
             if over or (steps is not None and world.step_count[0] >= steps):
                 break
             world.step(actor(world, start))
@@ -306,7 +320,10 @@ def play(
             on_step()
             scene, start = recorder.scene(), False
         if endings is not None:
-            endings.append(f"{scene.note or 'stopped'} after {scene.step * scene.species.dt:.1f} s")
+            time = scene.step * scene.species.dt
+            endings.append(
+                f"{scene.note or 'stopped'} after {time:.1f} s{source and f' ({source})'}"
+            )
         for _ in range(round(HOLD * renderer.fps)):
             picture = renderer.draw(scene)
             if picture is not None:

@@ -10,6 +10,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 from commands import animarl
+from recordings import cut_short
 from refusals import refuses
 from small_runs import few, made
 
@@ -47,17 +48,18 @@ def test_the_same_seed_gives_the_same_clip_and_another_another(tmp_path):
     assert clips[0] == clips[1] != clips[2]
 
 
-def positions_of(world, actor, steps):
+def positions_of(world, actor, steps, **more):
     world.seed([0])
-    pictures = play(world, actor, Renderer("rgb_array", size=100, fps=1.0), steps=steps)
+    pictures = play(world, actor, Renderer("rgb_array", size=100, fps=1.0), steps=steps, **more)
     return np.stack([world.position[0].copy() for _ in pictures])
 
 
 def test_recorded_animals_beside_simulated_ones(tmp_path):
     clip = tmp_path / "flies.gif"
-    asked = ("--episodes", 2, "--steps", 4, "--size", 100, "--split", "test", "--out", clip)
+    asked = ("--episodes", 2, "--steps", 4, "--size", 100, "--out", clip)
     said = animarl("watch", "--model", "fly", "--beside", *asked)
     assert said.count(", recorded: ") == said.count(", simulated: ") == 2
+    assert said.count(", test)") == 4
     first = imageio.imread(clip, index=0)[:100, :, :3]
     assert first.shape[1] == 200
     assert (first[:, :100] == first[:, 100:]).mean() > 0.99  # both begin at the same places
@@ -71,6 +73,18 @@ def test_without_a_model_the_recorded_paths_are_followed(demos):
     starts = [world.demos.episode(i).positions for i in range(len(world.demos))]
     assert len(starts) == len(few("newt").select(split="test"))
     assert any(np.allclose(path[:7], one[:7], atol=1e-12) for one in starts)
+
+
+def test_a_replayed_recording_ends_at_its_last_frame():
+    """The world goes on to its time limit; what it would show has no recording any more."""
+    cut = cut_short(few("fly"), 6)
+    world, actor = prepare("AnimaRL/Fly-v0", demos=cut, split="test")
+    endings: list[str] = []
+    path = positions_of(world, actor, steps=None, endings=endings)
+    assert len(path) == 6 + 1  # the last picture is held
+    shown = world.demos.episode(int(world.demo[0]))
+    np.testing.assert_allclose(path[:6], shown.positions, atol=1e-12)
+    assert endings == [f"recording ended after {5 * cut.dt:.1f} s ({shown.recording}, test)"]
 
 
 def test_by_script_males_approach_the_female(demos):
