@@ -54,6 +54,7 @@ def evaluate_command(
       animarl evaluate runs/agents --demos later.npz --out out/later
     """
     from animarl_algos.report.verdict_section import evaluation_table, verdict_table
+    from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import evaluate_runs, lacking
     from animarl_algos.runs.run import Run
@@ -66,17 +67,17 @@ def evaluate_command(
                 "to 'animarl evaluate RUN'"
             )
         found = evaluate_runs(runs, out, demos=None if demos is None else load(demos))
-        evaluation, missing = found.evaluation, found.lacking
+        evaluation, missing, words = found.evaluation, found.lacking, Words.of(found.test)
     else:
         if demos is not None:
             raise InputError("--demos needs --out: name a folder for the new evaluation")
         if len(runs) > 1:
             raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
         run = Run(runs[0], acting)
-        evaluation, missing = pipeline.evaluate_run(run), lacking(run)
+        evaluation, missing, words = pipeline.evaluate_run(run), lacking(run), Words.of(run.demos)
     console = PlainConsole(WIDTH)
-    console.print(evaluation_table(evaluation))
-    console.print(verdict_table(evaluation.verdict))
+    console.print(evaluation_table(evaluation, words))
+    console.print(verdict_table(evaluation.verdict, words))
     for sentence in missing:
         console.print(sentence)
     if out is not None:

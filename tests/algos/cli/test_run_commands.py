@@ -108,10 +108,12 @@ def test_one_run_is_rolled_out_again_in_its_own_folder(
 def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
     animarl: Callable[..., Done], tmp_path: Path
 ) -> None:
-    run = made(tmp_path, "dqdil-pt", baselines=True)
+    tracked = replace(few(), provenance={**few().provenance, "synthetic": False})
+    run = made(tmp_path, "dqdil-pt", demos=tracked, baselines=True)
     policies = contents(run.path / "policies")
     said = succeeded(animarl("evaluate", run.path, "--out", "eval"))
     assert "no trained BC to compare with" in said
+    assert "Simulated against recorded" in said and "demonstrat" not in said
     assert f"animarl run few.npz --algo dqdil-pt --seed 0 --out {run.path}" in said
     assert contents(run.path / "policies") == policies
     methods = set(pd.read_csv(tmp_path / "eval" / "comparison.csv")["method"])
