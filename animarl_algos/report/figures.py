@@ -21,6 +21,7 @@ from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 from animarl_envs.demos.summary import Unit
 from animarl_envs.drawing.render import round_length
+from animarl_envs.fitting.custom_species import SMALLEST_CONTACT
 from animarl_envs.focus import is_free
 from animarl_envs.species import Species
 
@@ -171,8 +172,12 @@ class Stage:
 
 
 def contact_drawn(species: Species) -> float | None:
-    """Return how near is contact, where somebody is pursued or searches [arena unit]."""
-    return None if is_free(species.roles) else species.contact_radius
+    """Return how near is contact, where somebody is pursued or searches [arena unit].
+
+    None where recordings show no contact, and simulated animals are kept from any.
+    """
+    none = species.contact_radius <= SMALLEST_CONTACT * species.arena.size
+    return None if none or is_free(species.roles) else species.contact_radius
 
 
 def path_panels(

@@ -17,14 +17,19 @@ from report_inputs import (
     report_inputs,
     report_page,
 )
+from small_runs import few
 
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report import write_report
 from animarl_algos.report.figures import Stage, path_panels
+from animarl_algos.report.inputs import PageInputs
+from animarl_algos.report.player import play
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words, with_interval
 from animarl_algos.runs.inspecting import Decisions, values_along_path
 from animarl_envs.arena import Arena
+from animarl_envs.fitting.custom_species import SMALLEST_CONTACT
+from animarl_envs.species import SPECIES
 
 
 def test_the_page_has_every_section() -> None:
@@ -131,6 +136,15 @@ def test_individuals_differ_in_more_than_colour() -> None:
     for key in ("colour", "marker"):
         assert len({str(getattr(look, key)) for look in seen}) == 4
     assert len({str(look.dashes) for look in seen[:3]}) == 3
+
+
+def test_a_player_explains_the_ring_of_contact_only_where_there_is_one() -> None:
+    fly, demos = SPECIES["fly"], few("fly")
+    assert "dotted ring" in play(PageInputs(demos=demos, species=fly), [], [], "").caption
+    never = dataclasses.replace(fly, contact_radius=SMALLEST_CONTACT * fly.arena.size)
+    without = PageInputs(demos=demos, species=never)
+    assert without.stage.contact_radius is None
+    assert "dotted ring" not in play(without, [], [], "").caption
 
 
 def test_a_lost_searcher_does_not_hide_the_recording() -> None:
