@@ -147,7 +147,8 @@ def _refuse(scenario: Scenario) -> None:
         f"the senses of this run are noisy or late, which a page does not simulate: {instead}":
             bool(scenario.observation_noise or scenario.observation_delay),
         "the individuals of this run have headings of their own, which a page does not simulate: "
-        f"train without senses_heading, or {instead}":
+        "train with --set 'env_kwargs={senses_heading: false, turning: null}', or "
+        f"{instead}":
             isinstance(species, ChaseSpecies) and species.has_headings,
         "the searchers of this run differ by traits or observe their past, which a page does not "
         f"simulate: {instead}":

@@ -14,6 +14,7 @@ from small_runs import made
 from turned_bodies import SIDEWAYS, SLOW, recorded, species, turned, wanderers
 
 from animarl_algos import load_run
+from animarl_algos.whatif.live_page import page_model
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import first_of_role, join
 from animarl_envs.errors import InputError
@@ -136,6 +137,14 @@ def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -
     assert np.isfinite(rolled.positions).all()
     with pytest.raises(InputError, match="senses_heading changes what the policy is shown"):
         loaded.simulate(senses_heading=False)
+    told = refuses("headings of their own", page_model, loaded)
+    without = {"senses_heading": False, "turning": None}
+    assert "--set 'env_kwargs={senses_heading: false, turning: null}'" in told
+    plain_run = made(
+        tmp_path / "plain", "soft-bc", demos=recorded(), species="custom", rolled_out=False,
+        env_kwargs=without,
+    )  # fmt: skip
+    assert page_model(load_run(plain_run.path))["individuals"]
 
 
 def test_the_program_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
