@@ -291,7 +291,7 @@ def values_along_path(decisions: Decisions, dt: float) -> Figure:
         above.plot(time, q.mean(axis=1), color=style.TARGET.hex, label="mean over actions")
         above.plot(time, q.max(axis=1), color=style.BLUE.hex, linewidth=1.0, label="best action")
         above.set(ylabel="Q", title=decisions.individual)
-        above.legend(loc="best", ncols=2)
+        above.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)  # above the curves
         advantage = (q - q.mean(axis=1, keepdims=True)).T
         reach = float(np.abs(advantage).max()) or 1.0
         edges = np.append(time, time[-1] + dt) - dt / 2
