@@ -39,6 +39,7 @@ FACTUAL, FLIPPED, UNTRAINED, ZEROED = "factual", "flipped", "untrained, ", f"{BL
 WORLD, TEAM = "other world", "truth"
 NO_TRUTH = "no truth is known for these demonstrations: give --truth"
 FEWEST_SEEDS = 3
+NOT_PLANNED = "this flip was not planned in advance, by the option planned_flip of the world"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def cue_effects(
                 add(name, quantity, c, c if quantity in (MEAN, ERROR) else 1 - c, counting, data)
             if counting != "all":  # what counts among captures depends on what is asked
                 continue
-            against = "this flip was not planned in advance"
+            against = "; ".join(filter(None, [lacking_seeds(found[PREDICTED]), NOT_PLANNED]))
             if (c, 1 - c) == planned:
                 against = objection_to_claim(found[PREDICTED], found[UNTRAINED_SHIFT], draws)
             claims.append(
@@ -207,6 +208,14 @@ def minus(first: Cells, second: Cells) -> Cells:
     return statistics.single_cells(first.cell_means - second.cell_means)
 
 
+def lacking_seeds(shift: Cells) -> str:
+    """Return that a shift has too few training seeds; empty where it has enough."""
+    seeds = len(shift.sums)
+    if seeds >= FEWEST_SEEDS:
+        return ""
+    return f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
+
+
 def objection_to_claim(
     shift: Cells,
     untrained: Cells,
@@ -216,9 +225,8 @@ def objection_to_claim(
     """Why a shift by seed and start is not worded as an effect; empty where it may be."""
     from scipy.stats import ttest_1samp
 
-    seeds = len(shift.sums)
-    if seeds < FEWEST_SEEDS:
-        return f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
+    if few := lacking_seeds(shift):
+        return few
     if len(untrained.sums) < FEWEST_SEEDS:
         return "there are too few untrained networks to tell it apart from"
     if not ttest_1samp(shift.seed_means, 0.0).pvalue < 1 - CONFIDENCE:

@@ -134,6 +134,7 @@ class Species(ABC):
                 f"planned_flip is {flip!r}: give (0, 1) or (1, 0) to a species with conditions, "
                 "or None"
             )
+        object.__setattr__(self, "planned_flip", flip and tuple(flip))  # files hold lists
 
     @property
     def num_individuals(self) -> int:

@@ -187,6 +187,8 @@ def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
     one = answers(PreyRests(4, 0.2), 0)
     found = effects({"DQCIL": one}, planned=(0, 1), resamples=200)
     assert not found.claims["worded"].any()
+    few, other = found.claims["reason"]
+    assert few == "1 training seed: give at least 3" and other == f"{few}; {of.NOT_PLANNED}"
     rows = found.table[found.table["quantity"] == of.PREDICTED]
     assert (rows["covers"] == "this network only").all()
     missing = found.table[found.table["value"].isna()]
