@@ -25,6 +25,7 @@ from animarl_algos.evaluation.metrics import (
     measure,
     measure_recordings,
 )
+from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws, Floats
 from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
@@ -288,6 +289,7 @@ def evaluate(
 ) -> Evaluation:
     """Measure and compare the rollouts of several methods.
 
+    Rollouts from the start of a recording that was cut stop there too, as in the verdict.
     Parameters
     ----------
     rollouts
@@ -309,7 +311,8 @@ def evaluate(
             f"there are no rollouts of {learner!r}: choose one of {', '.join(rollouts)}"
         )
     tables = [measure_recordings(demos)]
-    tables += [measure(r, demos).assign(method=name) for name, r in rollouts.items()]
+    for name, some in rollouts.items():  # nothing is known of what came after a cut
+        tables.append(measure(censored(some, demos), demos).assign(method=name))
     metrics = pd.concat(tables, ignore_index=True)
     compared = set(metrics.loc[metrics["factual"], "method"])
     for name in rollouts:

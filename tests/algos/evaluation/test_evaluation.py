@@ -10,10 +10,11 @@ import pandas as pd
 import pytest
 from moving_pairs import rollouts_along
 from numpy.typing import NDArray
-from recordings import episodes_along
+from recordings import cut_short, episodes_along
 from refusals import refuses
 from report_inputs import make_demos, make_rollouts, rendered, report_inputs, report_page
 from rich.console import Console
+from small_runs import few
 
 from animarl_algos.benchmark.scores import labels
 from animarl_algos.evaluation import Evaluation, evaluate
@@ -72,6 +73,17 @@ def test_the_terminal_table_names_every_method() -> None:
     for name in ("demonstrated", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
         assert name in text
     assert "record" not in text  # demonstrations may be synthetic
+
+
+def test_rollouts_are_measured_as_far_as_their_recording_goes() -> None:
+    """As in the verdict: nothing is known of what came after a film was stopped."""
+    whole = few().select(split="test")
+    cut = cut_short(whole, 6)
+    on = {"goes on": Rollouts.from_demonstrations(whole)}
+    metrics = evaluate(on, cut, seed=0, resamples=20).metrics.set_index("method")
+    for column in ("duration", "path_length"):
+        same = metrics.loc["recorded", column].to_numpy()
+        assert metrics.loc["goes on", column].to_numpy() == pytest.approx(same)
 
 
 @pytest.fixture
