@@ -220,7 +220,7 @@ def whatif_command(
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
     from animarl_algos.whatif.answer import ask
-    from animarl_algos.whatif.answer_page import save_answers, unchanged_table
+    from animarl_algos.whatif.answer_page import cut_note, save_answers, unchanged_table
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
 
     console, change = PlainConsole(WIDTH), change or []
@@ -252,6 +252,8 @@ def whatif_command(
         ),
         on_answer=lambda answer: _print(console, answer),
     )
+    if note := cut_note(found):
+        console.print(note)
     save_answers(found, out, command=command_line(), versions=versions())
     console.print(f"Tables, text, figures and the page report.html: {out}")
 

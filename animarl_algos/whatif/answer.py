@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.order_in_time import nearest_other
-from animarl_algos.evaluation.prepared import path_lengths
+from animarl_algos.evaluation.prepared import censored, path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.absent import Present, simulate_from
@@ -41,6 +41,7 @@ USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
 THRUST_LIMITS = (1 / 8, 8.0)
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
+NO_INTERVAL = "one test start: no interval"
 
 
 class TrainedRun(Protocol):
@@ -83,7 +84,9 @@ class Answer:
     table
         One row per quantity: ``scenario, quantity, unit, recorded, baseline, changed, shift, low,
         high, gap, covers, other_reading, seeds_low, seeds_high, beyond, null_low, null_high, p,
-        warning, judged, finding``. ``gap`` is baseline minus recorded, ``seeds_low`` to
+        warning, judged, finding``. ``gap`` is baseline minus recorded, where rollouts stop
+        with a recording that was cut (:func:`~animarl_algos.evaluation.prepared.censored`);
+        ``seeds_low`` to
         ``seeds_high`` the range of the shifts of single training seeds, ``beyond`` the share of
         steps more than usual with inputs that training did not have. ``null_low`` to ``null_high``
         is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these move
@@ -220,10 +223,18 @@ def _check(scenario: Scenario, run: TrainedRun, unit: Unit) -> None:
     if scenario.removed:
         Present.without(species, scenario.removed)
     sensed = run.scenario.species.condition_is_sensed
-    if scenario.condition is not None and not sensed and not run.told_condition:
+    if scenario.condition is None:
+        return
+    if not sensed and not run.told_condition:
         raise InputError(
             "the policies of this run were never told the condition, so they cannot be told "
             "another: train a run on recordings of both conditions"
+        )
+    starts = run.demos.select(split="test").condition
+    if (starts == species.conditions.index(scenario.condition)).all():
+        raise InputError(
+            f"condition={scenario.condition}: all test recordings are of this condition already, "
+            "so there is none to change: deal the splits so that test has both conditions"
         )
 
 
@@ -240,6 +251,8 @@ class _Asker:
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
         self.baseline, *self.usual = self._simulate(Scenario(()), {}, "habit")
         self.quantities = list(quantities_of(self.species, unit))
+        # What stands beside recordings that were cut stops there too.
+        self.comparable = censored(self.baseline, self.test)
 
     def answer(self, scenario: Scenario, nulls: Sequence[_Asker] = ()) -> Answer:
         """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
@@ -270,8 +283,9 @@ class _Asker:
         return Answer(scenario, table, warning, reason, thrusts, changed, species)
 
     def unchanged(self) -> pd.DataFrame:
-        """Return each quantity of the recordings and of the unchanged world."""
+        """Return each quantity of the recordings and of the unchanged world, cut as they were."""
         table = pd.DataFrame(self._rows(Scenario(()), self.baseline, None))
+        table["baseline"] = table["recorded"] + table["gap"]
         return table[["quantity", "unit", "recorded", "baseline", "gap"]]
 
     def shifts(self, scenario: Scenario) -> list[float]:
@@ -371,13 +385,15 @@ class _Asker:
                 further = self._mean(other, measure(other) - before, counts).estimate
             baseline = self._mean(self.baseline, before, counts).estimate
             true = float(np.nanmean(quantity.values(recorded)[shown]))
+            comparable = quantity.values(self.comparable)
+            gap = self._mean(self.comparable, comparable, counts).estimate - true
             counted = np.where(counts, after - before, np.nan).reshape(len(self.runs), -1)
             seeds = np.nanmean(counted, axis=1)
             yield {
                 "scenario": scenario.name, "quantity": quantity.name, "unit": quantity.unit,
                 "recorded": true, "baseline": baseline, "changed": baseline + shift.estimate,
                 "shift": shift.estimate, "low": shift.low, "high": shift.high,
-                "gap": baseline - true, "covers": covers, "other_reading": further,
+                "gap": gap, "covers": covers, "other_reading": further,
                 "seeds_low": seeds.min(), "seeds_high": seeds.max(),
             }  # fmt: skip
 
@@ -420,6 +436,8 @@ def judge(row: Mapping[Any, Any], of_a_cue: bool) -> str:
     """
     if row["warning"] == Caution.RED:
         return "a guess"
+    if np.isnan(row["low"]):
+        return NO_INTERVAL
     if not (row["low"] > 0 or row["high"] < 0):
         return "not clear of zero"
     if abs(row["shift"]) < abs(row["gap"]):

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animarl_algos.evaluation.comparison import write_tables
+from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance, to_paste
 from animarl_algos.report.style import Image, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
-from animarl_algos.whatif.answer import Answer, WhatIf, quantities_of
+from animarl_algos.whatif.answer import NO_INTERVAL, Answer, WhatIf, quantities_of
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
 from animarl_envs.demos.summary import unit_of
@@ -32,6 +33,10 @@ WHAT_IT_IS = (
     "speaks of {covers}, not of the choice of the training recordings{null}. A shift that is "
     "smaller than the gap between the unchanged simulation and the recordings is no finding."
 )
+CUT = (
+    "Some recordings were cut: there the gap looks at the simulation as far as its recording "
+    "goes, and all else at whole episodes."
+)
 GUESS = "This answer is a guess."
 WARNINGS = (
     f"A warning is some above {YELLOW:.0%} and red above {RED:.0%} more steps than in the "
@@ -39,6 +44,7 @@ WARNINGS = (
     "training inputs. No warning is no guarantee."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
+SMALLEST_SHIFT = 1e-9  # on an axis; a smaller one is of rounding errors
 MOST_PLAYED = 6  # scenarios in the player
 RECORDED, UNCHANGED = "recorded", "unchanged"
 
@@ -68,7 +74,14 @@ def what_it_is(found: WhatIf) -> str:
     null = ""
     if table["p"].notna().any():
         null = ", of which p does: how often networks of permuted conditions shift as far"
-    return WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null)
+    told = WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null)
+    return f"{told} {cut_note(found)}".strip()
+
+
+def cut_note(found: WhatIf) -> str:
+    """Return how far the gap looks where recordings were cut; empty where none was."""
+    cut = found.baseline.lengths.sum() > censored(found.baseline, found.demos).lengths.sum()
+    return CUT if cut else ""
 
 
 def words(found: WhatIf) -> str:
@@ -98,6 +111,8 @@ def findings(answer: Answer) -> list[str]:
     table = answer.table
     if answer.warning == Caution.RED:
         return [GUESS]
+    if (table["judged"] == NO_INTERVAL).all():
+        return [f"{capitalised(NO_INTERVAL)}, so no shift can be told from chance."]
     found = []
     for _, row in table[table["finding"]].iterrows():
         size, *ends = (abs(_factor(row) * row[key]) for key in ("shift", "low", "high"))
@@ -242,11 +257,13 @@ def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
         names = rows["scenario"].tolist()
         colours = np.where(rows["finding"], style.BLUE.hex, style.MUTED.hex)
         shifts = map(Interval, rows["shift"], rows["low"], rows["high"])
+        size = float(np.nanmax(np.abs(rows[["shift", "low", "high", "gap"]].to_numpy())))
         figure = figures.interval_rows(
             dict(zip(names, shifts)),
             f"Shift ({rows['unit'].iloc[0]})",
             title=str(quantity),
             reference=0.0,
+            limits=None if size > SMALLEST_SHIFT else (-1.0, 1.0),
             band=abs(float(rows["gap"].iloc[0])),
             colours=dict(zip(names, colours)),
             hollow=rows.loc[rows["warning"] != Caution.NONE, "scenario"].tolist(),

@@ -11,13 +11,14 @@ import pytest
 from browser import listen
 from commands import animarl
 from pages import python
+from recordings import cut_short
 from refusals import refuses
 
 from animarl_algos import load_run
 from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
-from animarl_algos.whatif.answer import ask, judge, share_as_large
+from animarl_algos.whatif.answer import NO_INTERVAL, ask, judge, share_as_large
 from animarl_algos.whatif.answer_page import answer_page, findings, words
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy, in_words, others_in_order
@@ -240,6 +241,36 @@ def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: 
 
     with pytest.raises(InputError, match="never told the condition"):
         ask([Untold()], ["condition=shared"], repetitions=1)  # type: ignore[list-item]
+
+
+def test_the_gap_looks_at_the_simulation_as_far_as_its_recording_goes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = load_run("agent")
+    monkeypatch.setitem(run.__dict__, "demos", cut_short(run.demos, 6))
+    unchanged: list[pd.DataFrame] = []
+    found = ask([run], ["contact=x1.5"], repetitions=1, on_baseline=unchanged.append)
+    duration = found.table.set_index("quantity").loc["duration"]
+    assert 0.4 < duration["recorded"] <= 0.5 < duration["baseline"]
+    assert -0.5 < duration["gap"] <= 0.0
+    shown = unchanged[0].set_index("quantity").loc["duration"]
+    assert shown["baseline"] - shown["recorded"] == pytest.approx(shown["gap"])
+    assert "Some recordings were cut" in words(found)
+
+
+def test_what_one_test_start_or_one_condition_cannot_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = load_run("agent")
+    train, test = (np.flatnonzero(run.demos.split == split) for split in ("train", "test"))
+    shared = test[run.demos.condition[test] == 1]
+    whole = run.demos
+    monkeypatch.setitem(run.__dict__, "demos", whole.select(episodes=[*train, *shared]))
+    refuses("all test recordings are of this condition", ask, [run], ["condition=shared"])
+    monkeypatch.setitem(run.__dict__, "demos", whole.select(episodes=[*train, test[0]]))
+    found = ask([run], ["contact=x1.0"], repetitions=1)
+    assert set(found.table["judged"]) == {NO_INTERVAL}
+    assert "One test start: no interval, so no shift" in words(found) and "nan" not in words(found)
 
 
 def test_a_cue_shifts_only_starts_of_the_other_condition(chase: Run) -> None:
