@@ -26,6 +26,7 @@ ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
 FEW_FRAMES = 3  # steps of more do not tell the rate
 IRREGULAR, MANY = 0.01, 20  # share and number of steps off whole frames: fewer are wrong times
 LONGEST_STEP = 2.5  # usual steps; longer ones of an irregular clock are gaps
+FINE = 5  # roundings in a usual step; fewer do not tell a clock that ticks unevenly
 SLOWEST, FASTEST = 0.2, 2000.0  # [Hz] that recordings of animals have
 IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
@@ -297,7 +298,8 @@ def frames_at(
             raise InputError(f"{path}: all rows have the same time: give --option fps=...")
         usual = float(np.median(step))
         frames = np.rint(step / usual)
-        few = (frames >= 1) & (frames <= FEW_FRAMES) & (np.abs(step / usual - frames) < CLEARLY)
+        few = (frames >= 1) & (frames <= FEW_FRAMES)
+        few &= np.abs(step / usual - frames) < CLEARLY + 1.01 * rounding(time) / usual
         exact = round(float(frames[few].sum() / step[few].sum()), 6)
         whole = [float(round(exact))] if abs(round(exact) - exact) < ROUNDING * exact else []
         rates = [*whole, exact]
@@ -314,7 +316,13 @@ def frames_at(
     )
 
 
-def irregular_rate(time: Floats, track: Whole) -> float | None:
+def rounding(time: Floats) -> float:
+    """To which power of ten times [s] are rounded, a microsecond at least."""
+    kept = (digits for digits in range(6) if np.abs(time - time.round(digits)).max() < 1e-7)
+    return float(10.0 ** -next(kept, 6))
+
+
+def irregular_rate(path: Path, time: Floats, track: Whole) -> float | None:
     """The usual rate [Hz] of a clock that ticks unevenly; None where it ticks evenly."""
     before, after = _neighbours(track, time)
     step = time[after] - time[before]
@@ -322,7 +330,14 @@ def irregular_rate(time: Floats, track: Whole) -> float | None:
         return None
     usual = float(np.median(step))
     off = np.count_nonzero(np.abs(step / usual - np.rint(step / usual)) > UNEVEN)
-    return float(f"{1.0 / usual:.3g}") if off >= max(MANY, IRREGULAR * len(step)) else None
+    if off < max(MANY, IRREGULAR * len(step)):
+        return None
+    if usual < FINE * rounding(time):
+        raise InputError(
+            f"{path}: its times are rounded to {rounding(time):g} s, too coarsely for frames about "
+            f"{usual:.3g} s apart: write them with more digits, or add a column of frame numbers"
+        )
+    return float(f"{1.0 / usual:.3g}")
 
 
 def even_rows(time: Floats, track: Whole, rate: float) -> tuple[Whole, Whole, Floats, Floats]:
@@ -364,13 +379,23 @@ def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place
 
 
 def rate_of_frames(path: Path, frames: Whole, time: Floats, group: Whole) -> float:
-    """Frame rate [Hz] of rows that have a frame number and a time [s] each."""
+    """Frame rate [Hz] of rows that have a frame number and a time [s] each.
+
+    All frames over all time, since single steps of rounded times are too long or too short; without
+    steps that even rounding does not explain, as of a paused camera.
+    """
     before, after = _neighbours(group, frames)
     steps, passed = frames[after] - frames[before], time[after] - time[before]
     use = (steps > 0) & (passed > 0)
     if not use.any():
         raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
-    return round(1.0 / float(np.median(passed[use] / steps[use])), 6)
+    usual, digit = float(np.median(passed[use] / steps[use])), rounding(time)
+    use = (steps > 0) & (passed >= 0)
+    use &= np.abs(passed - usual * steps) <= UNEVEN * usual * steps + 1.01 * digit
+    count, lasted = int(steps[use].sum()), float(passed[use].sum())
+    whole = max(round(count / lasted), 1)
+    fits = abs(count / whole - lasted) <= digit * (int(group.max()) + 1)
+    return float(whole) if fits else round(count / lasted, 6)
 
 
 def seconds(path: Path, column: str, values: Floats | Words, unit: str | None) -> Floats:

@@ -215,7 +215,7 @@ def _recordings(
         else:
             track = recording * len(names) + who
             refuse_times_going_back(path, when, track, table.place)
-            if fps is None and (fps := irregular_rate(when, track)) is not None:
+            if fps is None and (fps := irregular_rate(path, when, track)) is not None:
                 require(
                     HEADING not in extra,
                     f"{path}: its clock is irregular, and headings are not resampled: give rows at "

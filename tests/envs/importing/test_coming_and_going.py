@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from commands import animarl
 from recordings import write_tracks
-from refusals import refuses
+from refusals import refused, refuses
 
 from animarl_algos.cli.describing import found_by_itself
 from animarl_envs.fitting.custom_species import species_of
@@ -162,3 +162,29 @@ def test_a_damaged_or_absurd_packed_table_is_refused(
     path = tmp_path / "fed.csv.gz"
     path.write_bytes(content)
     refuses(said, read_tracks, path, source="long-table")
+
+
+@pytest.mark.parametrize("digits", [2, 3, 4])
+@pytest.mark.parametrize("rate", [25.0, 29.97, 30.0, 60.0, 120.0])
+def test_the_rate_of_rounded_times_is_that_of_all_frames(
+    rate: float, digits: int, tmp_path: Path
+) -> None:
+    """Steps of rounded times are too long or too short; without frame numbers they may not tell."""
+    times = [f"{t / rate:.{digits}f}" for t in range(600)]
+    path = tmp_path / "t.csv"
+    path.write_text(
+        "frame,time_s,x_a,y_a\n" + "".join(f"{t},{when},{t},0\n" for t, when in enumerate(times))
+    )
+    (tracks,) = read_tracks(path)
+    assert tracks.frame_rate == (rate if rate % 1 == 0 else pytest.approx(rate, rel=5e-4))
+    path.write_text("time_s,x_a,y_a\n" + "".join(f"{when},{when},0\n" for when in times))
+    if digits > 2 or rate == 25:
+        assert read_tracks(path)[0].frame_rate == pytest.approx(rate, rel=5e-4)
+    else:
+        assert ("rounded to 0.01 s, too coarsely" if rate < 100 else "two rows") in refused(path)
+
+
+def test_a_paused_camera_does_not_slow_the_frame_rate(tmp_path: Path) -> None:
+    rows = [f"{t},{t / 60 + 7 * (t > 40):.3f},{t},0\n" for t in range(100)]
+    (tmp_path / "t.csv").write_text("frame,time_s,x_a,y_a\n" + "".join(rows))
+    assert read_tracks(tmp_path / "t.csv")[0].frame_rate == 60.0
