@@ -14,6 +14,7 @@ import csv
 import itertools
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +33,13 @@ from animarl_envs.importing.readers.arrays import (
 )
 from animarl_envs.importing.readers.columns import rate_of_rows, refuse_uneven_frames
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
+from animarl_envs.importing.readers.table_files import read_long_table
 from animarl_envs.importing.tables import Table, plain_table
 from animarl_envs.importing.tracks import CENTROID, LONE, Tracks
 
 ETHOVISION = "Number of header lines:"  # the first cell
 ETHOVISION_CLOCKS = ("Trial time", "Recording time")
+IDTRACKER_TIDY = ("frame", "time", "individual", "x", "y", "probability")
 _TREX_NAME = re.compile(r"^(?P<recording>.+)_(?P<individual>(?:fish|id|agent)\d+)$")
 _TREX_X = ("X#wcentroid", "X#pcentroid", "X")
 
@@ -141,7 +144,7 @@ def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tr
     sniff=lambda path: (
         (path.suffix == ".npy" and path.stem in {"trajectories", "with_gaps", "without_gaps"})
         or {"trajectories"} <= hdf_keys(path)
-        or (path.suffix == ".csv" and tables.plain_table(path).names[:2] == ("time", "x1"))
+        or (path.suffix == ".csv" and _is_idtracker_csv(path))
     ),
     extensions=(".npy", ".h5", ".csv"),
 )
@@ -150,12 +153,17 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     suffix = path.suffix.lower()
     if suffix == ".csv":
         table = tables.plain_table(path)
+        if table.names == IDTRACKER_TIDY:
+            told = {"file": path.name, "tracker": "idtracker.ai"}
+            found = read_long_table(path, fps=fps, y_down=True)
+            return [replace(one, provenance=told) for one in found]
         count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
         names = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
-        number, _ = table.columns(["time", *names])
+        clock = [name for name in table.names[:1] if name in ("time", "seconds")]
+        number, _ = table.columns([*clock, *names])
         values = np.column_stack([number[name] for name in names])
         positions = values.reshape(len(values), count, 2)
-        rate: float | None = rate_of_rows(path, number["time"], table.place)
+        rate = rate_of_rows(path, number[clock[0]], table.place) if clock else None
     elif suffix == ".npy":
         raise InputError(
             f"{path}: it holds a pickle, which is never opened: import trajectories.h5 or "
@@ -176,6 +184,13 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
             provenance={"file": path.name, "tracker": "idtracker.ai"},
         )
     ]  # fmt: skip
+
+
+def _is_idtracker_csv(path: Path) -> bool:
+    """Whether it is of version 6, of an earlier one, or of one without times by its name."""
+    names, named = tables.plain_table(path).names, path.stem.startswith("trajectories")
+    dated = names[:2] in (("time", "x1"), ("seconds", "x1"))
+    return dated or names == IDTRACKER_TIDY or (names[:2] == ("x1", "y1") and named)
 
 
 def _number(value: NDArray[Any] | None) -> float | None:

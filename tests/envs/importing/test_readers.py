@@ -128,6 +128,30 @@ def test_tables_are_mapped_by_options(tmp_path: Path) -> None:
         np.testing.assert_allclose(tracks.bodies, BODIES[:, ::-1], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("name", "header", "row"),
+    [
+        ("any.csv", "time,x1,y1,x2,y2", "{time:.3f},{t},1,{t},2"),
+        ("any.csv", "seconds,x1,y1,x2,y2", "{time:.3f},{t},1,{t},2"),
+        ("trajectories.csv", "x1,y1,x2,y2", "{t},1,{t},2"),
+        (
+            "any.csv", "frame,time,individual,x,y,probability",
+            "{t},{time:.3f},1,{t},1,0.9\n{t},{time:.3f},2,{t},2,0.8",
+        ),
+    ],
+)  # fmt: skip
+def test_tables_of_idtracker_of_all_versions_grow_downwards(
+    name: str, header: str, row: str, tmp_path: Path
+) -> None:
+    rows = [row.format(t=t, time=t / 60) for t in range(200)]
+    (tmp_path / name).write_text("\n".join([header, *rows]) + "\n")
+    (tracks,) = read_tracks(tmp_path / name)
+    assert tracks.y_down and tracks.provenance["tracker"] == "idtracker.ai"
+    assert tracks.individuals == ("1", "2") and tracks.bodies[7].tolist() == [[7, 1], [7, 2]]
+    assert tracks.frame_rate == (60.0 if "time" in row else None)
+    assert (tracks.confidence is not None) == ("probability" in header)
+
+
 def test_sleap_project_of_two_videos_gives_two_recordings(tmp_path: Path) -> None:
     import sleap_io as sio
 
