@@ -160,6 +160,10 @@ def _cleaned(
         per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         if per_cm is not None:
             tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
+            require(
+                tracks.unit == "px",
+                f"{tracks.recording}: it is in {tracks.unit}, not in pixels: leave px_per_cm out",
+            )
         cleaned.append(tracks)
     return cleaned, done
 

@@ -37,8 +37,8 @@ _UNITS = {
 }  # fmt: skip
 UNIT_NAMES = {name: unit for unit, names in _UNITS.items() for name in names.split()}
 _OTHERS = (
-    "- deg ° degrees rad cm/s mm/s m/s px/s cm² mm² px² cm2 mm2 cm^2 % frame frames counts quality "
-    "n a.u. au 1/s deg/s °/s pixel²"
+    "- # deg ° degrees rad cm/s mm/s m/s px/s cm² mm² px² cm2 mm2 cm^2 % frame frames counts "
+    "quality n a.u. au 1/s deg/s °/s pixel²"
 )
 OTHER_UNITS = {"", *_OTHERS.split()}
 
@@ -230,7 +230,8 @@ def _names_and_units(
     """Of several header rows those that together tell the columns apart."""
     rows, units = [list(row) for row in header], [""] * width
     if len(rows) > 1:
-        bare = set(map(_without_brackets, rows[-1]))
+        words = [cell for cell in rows[-1] if not re.fullmatch(r"[\[(].*[\])]", cell)]
+        bare = {*map(_without_brackets, words), *filter(None, map(bare_unit, rows[-1]))}
         if bare <= UNIT_NAMES.keys() | OTHER_UNITS and bare & UNIT_NAMES.keys():
             units = [bare_unit(cell) for cell in rows.pop()]
     if not rows:

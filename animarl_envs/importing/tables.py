@@ -211,7 +211,10 @@ class Table(Layout):
                 raise InputError(f"{self.path}: {self._fault(str(error))}") from None
         schema = pyarrow.schema(list(zip(at, kinds, strict=True)))
         found = pyarrow.Table.from_batches(batches, schema).unify_dictionaries()
-        return found.rename_columns(asked)
+        rows = len(found)
+        while rows and not any(column[rows - 1].is_valid for column in found.columns):
+            rows -= 1  # spreadsheets write empty rows at the end
+        return found.slice(0, rows).rename_columns(asked)
 
     def _fault(self, told: str) -> str:
         """Return where and why Arrow could not go on, and what to do."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused, refuses
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.result import fit_locomotion
@@ -150,6 +151,25 @@ def test_tables_of_idtracker_of_all_versions_grow_downwards(
     assert tracks.individuals == ("1", "2") and tracks.bodies[7].tolist() == [[7, 1], [7, 2]]
     assert tracks.frame_rate == (60.0 if "time" in row else None)
     assert (tracks.confidence is not None) == ("probability" in header)
+
+
+@pytest.mark.parametrize("cells", ["(#),,(cm),(cm)", "#,-,(cm),(cm)", "[frame],[],[cm],[cm]"])
+def test_a_row_of_units_with_an_odd_cell_gives_the_units(cells: str, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(f"frame,id,x,y\n{cells}\n0,a,1,2\n1,a,1,3\n")
+    (tracks,) = read_tracks(tmp_path / "t.csv")
+    assert tracks.unit == "cm" and len(tracks) == 2
+    cm = default_recipe(get_reader("long-table"), frame_rate=9.0, scaling={"px_per_cm": 12.0})
+    refuses("t: it is in cm, not in pixels: leave px_per_cm out", follow, cm, [tmp_path / "t.csv"])
+
+
+@pytest.mark.parametrize("cell", [",", ";"])
+def test_empty_rows_below_a_table_are_no_rows(cell: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("frame,id,x,y\n0,a,1,2\n1,a,,\n,,,\n,,,\n".replace(",", cell))
+    (tracks,) = read_tracks(path)
+    assert len(tracks) == 2
+    path.write_text(path.read_text() + "2,,,\n".replace(",", cell))
+    assert "line 4 has no id" in refused(path)
 
 
 def test_sleap_project_of_two_videos_gives_two_recordings(tmp_path: Path) -> None:
