@@ -24,12 +24,15 @@ from animarl_envs.demos.summary import (
 from animarl_envs.errors import printable
 from animarl_envs.fitting.custom_species import MAY_BE_BEYOND, share_beyond
 from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.importing.readers import available_readers
+from animarl_envs.importing.sessions import GROUPS
 from animarl_envs.species import CUSTOM
 
 Row = tuple[str, str]
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
 STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
 SMOOTH = 2.0  # cutoff against such noise [Hz]
+SHOWN_COLUMNS = 8
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
@@ -85,11 +88,14 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     for condition in np.unique(demos.condition):
         outcome = demos.outcome[demos.condition == condition]
         codes, counts = np.unique(outcome, return_counts=True)
-        rows[f"outcomes, condition {condition}"] = ", ".join(
+        rows[f"outcomes, {_condition_name(condition, demos)}"] = ", ".join(
             f"{outcome_name(code, demos)}: {count} ({count / len(outcome):.3f})"
             for code, count in zip(codes[::-1].tolist(), counts[::-1].tolist())
         )
-    tracking = [f"{count} {key}" for key, count in tracking_counts(demos).items()]
+    tracking = [
+        f"{count} {key.removesuffix('s') if count == 1 else key}"
+        for key, count in tracking_counts(demos).items()
+    ]
     rows["signals"] = ", ".join(demos.signals) or None
     rows["frames flagged"] = ", ".join(tracking) or None
     rows["fingerprint"] = demos.fingerprint()
@@ -128,6 +134,13 @@ def _arena(demos: Demonstrations) -> str:
     return said
 
 
+def _condition_name(condition: int, demos: Demonstrations) -> str:
+    names = demos.provenance.get("conditions")
+    known = isinstance(names, list | tuple) and condition < len(names)
+    word = str(names[condition]) if known else ""
+    return f"condition {condition}" + (f" ({word})" if word not in ("", str(condition)) else "")
+
+
 def counted(number: int, noun: str) -> str:
     """Return so many of them, with a plural's s."""
     return f"{number} {noun}{'s' * (number != 1)}"
@@ -157,6 +170,13 @@ def hints(demos: Demonstrations) -> list[str]:
         )
     if ignored := told.get("metadata_ignored"):
         found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
+    if unused := told.get("columns_not_used"):
+        beside = sorted({name.lower() for name in unused} & set(GROUPS))
+        found.append(
+            f"columns that were not used: {', '.join(unused[:SHOWN_COLUMNS])}"
+            + ", ..." * (len(unused) > SHOWN_COLUMNS)
+            + (f" ({', '.join(beside)} belongs in a --metadata table)" if beside else "")
+        )
     if counts["test"] < FEWEST_TESTED:
         found.append(
             f"split test has {counted(counts['test'], 'episode')}, fewer than {FEWEST_TESTED}, so "
@@ -164,11 +184,14 @@ def hints(demos: Demonstrations) -> list[str]:
         )
     for split, count in counts.items():
         there = demos.condition[demos.split == split]
-        missing = [str(one) for one in np.unique(demos.condition) if one not in there]
+        known = np.unique(demos.condition)
+        missing = [_condition_name(one, demos) for one in known if one not in there]
         if count and missing:
+            dealt = len(np.unique(demos.recording[demos.split == split]))
+            again = "deal again by another --split-seed, or " if dealt >= len(known) else ""
             found.append(
-                f"split {split} has no episode of condition {', '.join(missing)}: deal again by "
-                "another --split-seed, or say the splits in a --metadata table"
+                f"split {split} has no episode of {', '.join(missing)}: {again}say the splits in a "
+                "--metadata table"
             )
     if unfilled := _total(demos, "untracked") - _total(demos, "filled"):
         found.append(
@@ -182,7 +205,7 @@ def hints(demos: Demonstrations) -> list[str]:
         )
     if (median := float(np.median(demos.lengths - 1)) * demos.dt) < WINDOW:
         found.append(
-            f"episodes last {median:.2g} s (median), less than the {WINDOW:g} s that a verdict "
+            f"episodes last {median:.3g} s (median), less than the {WINDOW:g} s that a verdict "
             "looks at: it takes each as a whole, and sees no order beyond"
         )
     flags = [
@@ -217,11 +240,20 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
     """Return what an import decided because nobody stated it."""
     found = []
     recipe: Mapping[str, Any] = demos.provenance.get("recipe", {})
-    if recipe.get("target") == "auto" and "target" in demos.roles:
+    stated = demos.provenance.get("roles_stated")
+    if recipe.get("target") == "auto" and "target" in demos.roles and not stated:
         others = ", ".join(demos.individuals[:-1])
         found.append(
-            f"{demos.individuals[-1]} is taken for the target, since {others} approach it most: "
-            "otherwise name who is pursued by --target NAME, or --target none"
+            f"{demos.individuals[-1]} is taken for the target, since it is approached most, by "
+            f"{others}: otherwise name who is pursued by --target NAME, or --target none"
+        )
+    scaling, options = recipe.get("scaling", {}), recipe.get("options", {})
+    in_pixels = scaling.get("px_per_cm") or demos.provenance.get("unit") == "px"
+    asked = {reader.name for reader in available_readers() if "y_down" in reader.options}
+    if in_pixels and recipe.get("source") in asked and "y_down" not in options:
+        found.append(
+            "y is taken to grow upwards; in images it grows downwards, and left and right would be "
+            "exchanged: if it does, give --option y_down=true"
         )
     contact, sizes = demos.provenance.get("contact_radius"), _unit_sizes(demos)
     if contact is not None and not recipe.get("cutting", {}).get("contact"):
@@ -256,10 +288,10 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
         found.append(f"{share}, as recordings are cut where anybody is missing: {keep_more}")
     least = [one.get("confidence_of_at_least") for one in _cleaning(demos).values()]
     limits = [one for one in least if one is not None]
-    if limits and recipe.get("cleaning", {}).get("min_confidence") is None:
-        below = counted(_total(demos, "below_confidence"), "point")
+    below = _total(demos, "below_confidence")
+    if below and limits and recipe.get("cleaning", {}).get("min_confidence") is None:
         found.append(
-            f"{below} of a likelihood below {max(limits):g} were not used: "
+            f"{counted(below, 'point')} of a likelihood below {max(limits):g} were not used: "
             "otherwise give --min-confidence, 0 for all points"
         )
     return found

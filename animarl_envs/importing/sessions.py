@@ -100,8 +100,12 @@ class Sessions:
         return replace(tracks, condition=self.conditions.index(session.condition))
 
     def told(self) -> dict[str, Any]:
-        """For the provenance: the names of two conditions, and columns that were not used."""
-        named = {"conditions": list(self.conditions)} if len(self.conditions) == 2 else {}
+        """For the provenance: names of two conditions, whether roles are said, unused columns."""
+        named: dict[str, Any] = {}
+        if len(self.conditions) == 2:
+            named["conditions"] = list(self.conditions)
+        if any(one.roles or one.target for one in (self.by_recording or {}).values()):
+            named["roles_stated"] = True
         return named | ({"metadata_ignored": list(self.ignored)} if self.ignored else {})
 
 

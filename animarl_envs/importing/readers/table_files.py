@@ -194,6 +194,10 @@ def _recordings(
     numbers = [*itertools.chain(*pairs.values()), *extra.values(), found.frame]
     texts = [found.individual, found.recording]
     (texts if clock in table.words_in else numbers).append(clock)
+    used = {*numbers, *texts, found.time}
+    told: dict[str, Any] = {"file": path.name}
+    if unused := [name for name in table.names if name and name not in used]:
+        told["columns_not_used"] = unused
     number, word = table.columns([*filter(None, numbers)], [*filter(None, texts)], progress)
     zeros = np.zeros(len(next(iter(number.values()))), dtype=np.int64)
     whole = tables.Words([Path(path.name.removesuffix(tables.PACKED)).stem], zeros)
@@ -257,7 +261,7 @@ def _recordings(
                 confidence=None if confidence is None else confidence[:, :, None],
                 signals=more_of,
                 start=float(start[at]),
-                provenance={"file": path.name, "read_as": read_as},
+                provenance=told | {"read_as": read_as},
             )
         )
     return tracks

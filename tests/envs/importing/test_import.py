@@ -194,6 +194,29 @@ def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
     assert np.ptp(Demonstrations.load(dropped).positions[:, 0, 0]) < 0.1
 
 
+def chase(folder: Path, recordings: int = 6, **columns: str) -> Path:
+    """A table of prey that run from a predator, with further columns of one word each."""
+    t, lines = np.arange(120) / 30, [",".join(["trial", "frame", "id", "x", "y", *columns])]
+    for number in range(recordings):
+        for name, x in (("prey", 2 + np.sin(t + number)), ("fox", np.sin(t + number - 0.3))):
+            rows = enumerate(zip(x, np.cos(t + number), strict=True))
+            more = "".join(f",{word}" for word in columns.values())
+            lines += [f"T{number},{frame},{name},{a:.4f},{b:.4f}{more}" for frame, (a, b) in rows]
+    (folder / "chase.csv").write_text("\n".join(lines) + "\n")
+    return folder / "chase.csv"
+
+
+def test_an_import_says_what_it_guessed_and_what_it_did_not_use(tmp_path: Path) -> None:
+    table = chase(tmp_path, condition="light", likelihood="0.9")
+    words = ("import", table, "--fps", 30, "--dry-run")
+    said = animarl(*words)
+    assert "y is taken to grow upwards" in said and "since it is approached most, by" in said
+    assert "not used: condition (condition belongs in a --metadata table)" in said
+    assert "of a likelihood below" not in said
+    assert "y is taken" not in animarl(*words, "--option", "y_down=true")
+    assert "y is taken" not in animarl(*words, "--option", "unit=mm")
+
+
 @pytest.mark.parametrize("pursuers", [1, 3])
 def test_imported_tracks_are_an_environment_at_once(pursuers: int, tmp_path: Path) -> None:
     names = [*(f"hunter_{i}" for i in range(pursuers)), "hare"]
