@@ -82,8 +82,8 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
     """
     out, dry_run = given["out"], given["dry_run"]
     require(out is None or out.suffix == ".npz", f"{out}: demonstrations end in .npz: rename it")
-    require(out or dry_run, "nothing would be written: name --out, or ask for a --dry-run")
     reader = find_reader(files[0], given["source"])
+    require(out or dry_run, "nothing would be written: name --out, or ask for a --dry-run")
     if reader.finished:
         for more in files[1:]:
             raise InputError(f"{more}: files of source {reader.name} are imported one by one")

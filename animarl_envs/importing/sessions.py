@@ -170,6 +170,13 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
 def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
     """The names of conditions 0 and 1: ``0`` and ``1`` themselves, or words as they occur."""
     found = tuple(dict.fromkeys(word for word in words if word is not None))
+    alike = {word.casefold(): word for word in found}
+    for word in found:
+        other = alike[word.casefold()]
+        require(
+            word == other,
+            f"{place}: conditions {word!r} and {other!r} differ only in capitals: write them alike",
+        )
     if found and set(found) <= {"0", "1"}:
         return ("0", "1")
     check_names(place, "a condition", found)
@@ -298,11 +305,13 @@ def assign_roles(
     first = cleaned[0]
     names = first.individuals
     for tracks in cleaned:
+        remedy = "choose as many in all of them by --individuals"
+        if len(tracks.individuals) == len(names):
+            remedy = "choose the same in all of them, or name the target of each by --metadata"
         require(
             tracks.individuals == names,
             f"{name}: {tracks.recording} has individuals {', '.join(tracks.individuals)}, "
-            f"{first.recording} has {', '.join(names)}: choose the same in all of them, "
-            "or name the target of each by --metadata",
+            f"{first.recording} has {', '.join(names)}: {remedy}",
         )
         require(
             recipe.decision_rate is not None or tracks.frame_rate == first.frame_rate,

@@ -46,6 +46,7 @@ HEAD = 2**18  # [bytes] that are looked at
 BLOCK = 2**20  # [bytes] that are parsed at once
 LONGEST_LINE = 2**20
 MOST_COLUMNS = 10_000
+RECORDINGS = ("trial", "session", "video")  # what a table beside recordings may call them
 OLD_EXCEL = bytes.fromhex("d0cf11e0a1b11ae1")
 _NULLS = ["", "-", "NA", "N/A", "n/a", "NULL", "null", "None", "nan", "NaN", "#N/A", "#NA", "<NA>"]
 NULLS = [" " * blanks + sign for sign in _NULLS for blanks in range(32)]
@@ -309,8 +310,9 @@ def plain_table(path: Path) -> Table:
 def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, str]]], list[str]]:
     """Return the lines of a small table beside recordings, and the names of its columns.
 
-    Of each line that is not blank its number, and its cells by column. Raises InputError if it
-    cannot be read, lacks a needed column, or has a line of another length.
+    Of each line that is not blank its number, and its cells by column. A column of trials, sessions
+    or videos is that of recordings where no other is. Raises InputError if it cannot be read, lacks
+    a needed column, or has a line of another length.
     """
     files.refuse_unfinished(path)
     try:
@@ -324,6 +326,8 @@ def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, s
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: it cannot be read ({error}): check it") from None
     names = [name.lower() for name in table[0]] if table else []
+    if "recording" not in names:
+        names = ["recording" if name in RECORDINGS else name for name in names]
     if lacking := sorted(needed - set(names)):
         raise InputError(
             f"{path}: it lacks the column {lacking[0]} (it has {', '.join(names) or 'none'}): add "

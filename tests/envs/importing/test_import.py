@@ -217,6 +217,19 @@ def test_an_import_says_what_it_guessed_and_what_it_did_not_use(tmp_path: Path) 
     assert "y is taken" not in animarl(*words, "--option", "unit=mm")
 
 
+def test_what_metadata_say_is_not_taken_for_guessed(tmp_path: Path) -> None:
+    table, beside = chase(tmp_path), tmp_path / "m.csv"
+    rows = [f"T{n},{'sham' if n % 2 else 'drug'},prey" for n in range(6)]
+    beside.write_text("\n".join(["Trial,condition,target", *rows]) + "\n")
+    words = ("import", table, "--fps", 30, "--metadata", beside)
+    said = animarl(*words, "--out", tmp_path / "d.npz")
+    assert "is taken for the target" not in said and "--split-seed" not in said
+    assert "outcomes, condition 1 (sham)" in said and "no episode of condition" in said
+    assert "condition 0 (drug)" in animarl("data", "show", tmp_path / "d.npz")
+    beside.write_text(beside.read_text().replace("T3,sham", "T3,Sham"))
+    refuses("'sham' and 'Sham' differ only in capitals", animarl, *words, "--dry-run")
+
+
 @pytest.mark.parametrize("pursuers", [1, 3])
 def test_imported_tracks_are_an_environment_at_once(pursuers: int, tmp_path: Path) -> None:
     names = [*(f"hunter_{i}" for i in range(pursuers)), "hare"]
