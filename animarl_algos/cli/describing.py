@@ -214,18 +214,22 @@ def hints(demos: Demonstrations) -> list[str]:
         for flag in [*one.get("first_jumps", []), *one.get("first_swaps", [])]
     ]
     jumps, swaps = _total(demos, "jumps"), _total(demos, "identity_swaps")
-    if jumps + swaps and not _total(demos, "jumps_dropped"):
-        recordings = sum(bool(one.get("jumps")) for one in _cleaning(demos).values())
+    kept = jumps and not _total(demos, "jumps_dropped")
+    if kept or swaps:
+        recordings = sum(
+            bool(one.get("jumps") or one.get("identity_swaps")) for one in _cleaning(demos).values()
+        )
         found.append(
             f"{counted(jumps, 'jump')} and {counted(swaps, 'swap')} of identities flagged in "
-            f"{counted(recordings, 'recording')}, first {flags[0]}: look there, or take jumps out "
-            "by --drop-jumps"
+            f"{counted(recordings, 'recording')}, first {flags[0]}: look there"
+            + ", or take jumps out by --drop-jumps" * bool(kept)
+            + "; tracks stay exchanged after a swap: correct it in the tracker" * bool(swaps)
         )
     smoothing = [one.get("smoothing", {}) for one in _cleaning(demos).values()]
     smoothed = any(one.get("cutoff_hz", np.inf) <= SMOOTH for one in smoothing)
     if not (demos.synthetic or smoothed or 1.0 / demos.dt < OFTEN):
-        kept = zip(demos.kinds, persistence(demos), strict=True)
-        jumpy = [f"{name} {100 * share:.0f} %" for name, share in kept if share < STEADY]
+        shares = zip(demos.kinds, persistence(demos), strict=True)
+        jumpy = [f"{name}: {100 * share:.0f} %" for name, share in shares if share < STEADY]
         if jumpy:
             found.append(
                 "velocities are hardly kept from one step to the next "

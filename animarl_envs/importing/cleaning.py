@@ -11,6 +11,7 @@ scales of their own their speeds would not compare.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -96,6 +97,10 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     done["identity_swaps"], done["first_swaps"] = len(swaps), _flags(tracks, swaps)
     done["jumps_dropped"] = settings.drop_jumps
     if settings.drop_jumps:
+        for who in range(bodies.shape[1]):  # what trackers write of lost animals is no place
+            for start, stop in pairwise(jumps[jumps[:, 1] == who, 0]):
+                if (bodies[start:stop, who] == bodies[start, who]).all():
+                    bodies[start:stop, who] = np.nan
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
         if heading is not None:
             heading[jumps[:, 0], jumps[:, 1]] = np.nan

@@ -82,6 +82,13 @@ def test_identity_swaps_and_jumps_are_found() -> None:
     ]
 
 
+def test_what_is_written_of_a_lost_animal_goes_with_its_jumps() -> None:
+    bodies = np.cumsum(np.random.default_rng(0).normal(1, 0.1, (500, 2, 2)), axis=0) + 100
+    bodies[200:230, 0] = 0.0
+    kept, _ = clean(tracks(bodies), Cleaning(drop_jumps=True, max_gap=0.1))
+    assert np.flatnonzero(np.isnan(kept.bodies[:, 0, 0])).tolist() == list(range(200, 231))
+
+
 def test_confidence_and_centroid() -> None:
     positions = np.zeros((4, 1, 2, 2))
     positions[:, :, 1] = 2.0

@@ -187,7 +187,7 @@ def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
     assert f"check: {named}" in animarl("data", "check", out)
     dropped = tmp_path / "dropped.npz"
     said = animarl("import", pair, *words, "--drop-jumps", "--max-gap", 0.2, "--out", dropped)
-    assert "flagged in" not in said
+    assert "flagged in" not in said  # nothing is left of jumps; of a swap it would be said
     recipe = ImportRecipe.load(tmp_path / "dropped.recipe.yaml")
     assert recipe.cleaning.drop_jumps and recipe.cleaning.max_gap == 0.2
     assert np.ptp(Demonstrations.load(out).positions[:, 0, 0]) > 0.7
