@@ -104,7 +104,8 @@ def demonstrations_from_tracks(
         done[tracks.recording]["too_short"] += len(made) - len(long_enough)
         episodes += long_enough
     if not episodes:
-        raise InputError(f"{name}: {_why_none(scaled)}")
+        arena_unit = f"{scales[0].unit:.4g} {cleaned[0].unit}"
+        raise InputError(f"{name}: {_why_none(scaled, roles, cutting, arena_unit)}")
 
     def joined(key: str, kind: Any = None) -> NDArray[Any]:
         return np.array([one[key] for one in episodes], dtype=kind)
@@ -159,11 +160,11 @@ def _cleaned(
         done[tracks.recording] = told | {"episodes": 0, "too_short": 0}
         per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         if per_cm is not None:
-            tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
             require(
                 tracks.unit == "px",
                 f"{tracks.recording}: it is in {tracks.unit}, not in pixels: leave px_per_cm out",
             )
+            tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
         cleaned.append(tracks)
     return cleaned, done
 
@@ -182,8 +183,19 @@ def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> di
     }
 
 
-def _why_none(recordings: Sequence[Tracks]) -> str:
+def _why_none(
+    recordings: Sequence[Tracks], roles: tuple[str, ...], cutting: Cutting, arena_unit: str
+) -> str:
     """Why there is no episode, and what to do."""
+    contact = cutting.contact
+    if contact and cutting.mode == "whole" and TARGET in roles:
+        distances = [distances_to_target(one.bodies, roles).min(axis=1) for one in recordings]
+        first = np.concatenate([one[np.isfinite(one)][:1] for one in distances])
+        if len(first) and (first < contact).all():
+            return (
+                f"all recordings begin within contact, {contact:g} arena units of {arena_unit}: "
+                "give a smaller --contact"
+            )
     seen = [np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in recordings]
     if any(stop - start > 1 for own in seen for start, stop in runs(own.all(axis=1))):
         return "the cut leaves no episode: loosen the distances or the length limits"

@@ -230,6 +230,11 @@ def test_what_metadata_say_is_not_taken_for_guessed(tmp_path: Path) -> None:
     refuses("'sham' and 'Sham' differ only in capitals", animarl, *words, "--dry-run")
 
 
+def test_recordings_that_begin_within_contact_are_named(tmp_path: Path) -> None:
+    words = ("import", chase(tmp_path), "--fps", 30, "--target", "prey", "--dry-run")
+    refuses("begin within contact, 4 arena units of 2 px", animarl, *words, "--contact", 4)
+
+
 @pytest.mark.parametrize("pursuers", [1, 3])
 def test_imported_tracks_are_an_environment_at_once(pursuers: int, tmp_path: Path) -> None:
     names = [*(f"hunter_{i}" for i in range(pursuers)), "hare"]

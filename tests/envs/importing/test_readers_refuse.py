@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from refusals import refuses
+from refusals import refused, refuses
 
 from animarl_envs import wall
 from animarl_envs.files import load_npy
@@ -73,6 +73,13 @@ def test_a_pickle_that_repeats_itself_is_refused(
         archive.writestr("pos.npy", buffer.getvalue() + pickle.dumps(laugh))
     refuses(r"MemoryError|more memory|processor time", read, path)
     assert load_npy(buffer.getvalue() + pickle.dumps([1]), path, unpickle=load_plain) == [1]
+
+
+@pytest.mark.parametrize("header", ["frame,id,x,y", "frame,x_a,y_a"])
+def test_frames_that_begin_again_are_a_second_session(header: str, tmp_path: Path) -> None:
+    rows = [f"{t},a,{t},1" if "id" in header else f"{t},{t},1" for t in (0, 1, 2, 0, 1, 2)]
+    (tmp_path / "t.csv").write_text("\n".join([header, *rows]) + "\n")
+    assert "frames begin again at line 5, as of a second session" in refused(tmp_path / "t.csv")
 
 
 def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) -> None:
