@@ -264,7 +264,8 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
 def write_long_table(demos: Demonstrations, out: Path) -> None:
     """Write a row per frame and individual, as the long-table reader takes it."""
     rows = (
-        {"recording": f"{one.recording}/{one.index}", "frame": frame, "id": who, "x": x, "y": y}
+        {"recording": f"{one.recording}/{one.index}", "frame": frame, "time": frame * one.dt}
+        | {"id": who, "x": x, "y": y}
         for one in demos
         for frame, bodies in enumerate(one.positions.tolist())
         for who, (x, y) in zip(demos.individuals, bodies, strict=True)

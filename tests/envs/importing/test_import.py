@@ -14,6 +14,7 @@ from refusals import refuses
 from small_runs import few, made
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import Scaling
 from animarl_envs.importing.import_recipe import ImportRecipe
@@ -233,6 +234,13 @@ def test_what_metadata_say_is_not_taken_for_guessed(tmp_path: Path) -> None:
 def test_recordings_that_begin_within_contact_are_named(tmp_path: Path) -> None:
     words = ("import", chase(tmp_path), "--fps", 30, "--target", "prey", "--dry-run")
     refuses("begin within contact, 4 arena units of 2 px", animarl, *words, "--contact", 4)
+
+
+def test_a_table_that_was_converted_knows_its_times(tmp_path: Path) -> None:
+    animarl("data", "convert", "newt", "--out", tmp_path / "newt.csv")
+    animarl("import", tmp_path / "newt.csv", "--target", "none", "--out", tmp_path / "again.npz")
+    packaged = load_packaged("newt")
+    assert Demonstrations.load(tmp_path / "again.npz").dt == pytest.approx(packaged.dt)
 
 
 @pytest.mark.parametrize("pursuers", [1, 3])
