@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.importing.table_layout import UNIT_NAMES, bare_unit
 from animarl_envs.importing.tables import Table, Words, open_table
 
@@ -375,6 +375,26 @@ def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place
             f"{path}: the time of {place(int(back.min()))} is earlier than the one before of the "
             "same individual (past midnight, or daylight saving?): write times that rise, or sort "
             "the rows by time"
+        )
+
+
+def refuse_two_rows(
+    table: Table, recording: str, cell: Whole, individuals: list[str], rows: Whole
+) -> None:
+    """Refuse a second row of one frame and individual; ``rows`` are those of the table."""
+    twice = np.flatnonzero(np.bincount(cell) > 1)
+    if len(twice):
+        frame, who = divmod(int(twice[0]), len(individuals))
+        second = int(np.flatnonzero(cell == twice[0])[1])
+        before = cell[:second][cell[:second] % len(individuals) == who]
+        require(
+            before.max() == twice[0],
+            f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
+            "session: add a column recording that tells the sessions apart, or split the file",
+        )
+        raise InputError(
+            f"{table.path}: {recording}, frame {frame}, {individuals[who]} has two rows: drop the "
+            "duplicate, or name the recording column"
         )
 
 

@@ -33,6 +33,7 @@ from animarl_envs.importing.readers.columns import (
     radians_per_unit,
     rate_of_frames,
     refuse_times_going_back,
+    refuse_two_rows,
     refuse_unused_pair,
     seconds,
     suggested_command,
@@ -241,7 +242,7 @@ def _recordings(
         shape = (int(frames[own].max()) + 1, len(individuals))
         _check_extent(table, name, shape, frames[own], row[own])
         cell = frames[own] * len(individuals) + place[who[own]]
-        _refuse_twice(table, name, cell, individuals, row[own])
+        refuse_two_rows(table, name, cell, individuals, row[own])
         positions = np.full((*shape, 1, 2), np.nan)
         more_of = {key: np.full(shape, np.nan) for key in extra}
         for further, (x, y) in enumerate(pairs.values()):
@@ -353,23 +354,4 @@ def _check_extent(
             f"{table.path}: {table.place(int(rows[last]))} is of frame {frames[last]}, with which "
             f"recording {recording} would take {size / 2**20:,.0f} MiB, more "
             f"than {EXPANSION} times the file: correct it"
-        )
-
-
-def _refuse_twice(
-    table: tables.Table, recording: str, cell: Whole, individuals: list[str], rows: Whole
-) -> None:
-    twice = np.flatnonzero(np.bincount(cell) > 1)
-    if len(twice):
-        frame, who = divmod(int(twice[0]), len(individuals))
-        second = int(np.flatnonzero(cell == twice[0])[1])
-        before = cell[:second][cell[:second] % len(individuals) == who]
-        require(
-            before.max() == twice[0],
-            f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
-            "session: add a column recording that tells the sessions apart, or split the file",
-        )
-        raise InputError(
-            f"{table.path}: {recording}, frame {frame}, {individuals[who]} has two rows: drop the "
-            "duplicate, or name the recording column"
         )
