@@ -135,7 +135,7 @@ def _arena(demos: Demonstrations) -> str:
 
 
 def _condition_name(condition: int, demos: Demonstrations) -> str:
-    names = demos.provenance.get("conditions")
+    names: Any = demos.provenance.get("conditions")
     known = isinstance(names, list | tuple) and condition < len(names)
     word = str(names[condition]) if known else ""
     return f"condition {condition}" + (f" ({word})" if word not in ("", str(condition)) else "")

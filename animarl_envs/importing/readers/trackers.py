@@ -156,6 +156,7 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
         if table.names == IDTRACKER_TIDY:
             told = {"file": path.name, "tracker": "idtracker.ai"}
             found = read_long_table(path, fps=fps, y_down=True)
+            assert isinstance(found, list)
             return [replace(one, provenance=told) for one in found]
         count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
         names = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
