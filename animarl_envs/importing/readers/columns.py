@@ -378,6 +378,18 @@ def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place
         )
 
 
+def frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Whole:
+    """Return frames as whole numbers, or refuse what is none."""
+    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
+    if bad.any():
+        at = int(bad.argmax())
+        raise InputError(
+            f"{table.path}: {table.place(at)}, column {column!r} holds {frames[at]:g}: give whole "
+            "numbers from 0"
+        )
+    return frames.astype(np.int64)
+
+
 def refuse_two_rows(
     table: Table, recording: str, cell: Whole, individuals: list[str], rows: Whole
 ) -> None:

@@ -20,12 +20,12 @@ from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
 from animarl_envs.importing.readers.columns import (
     CLOCKS,
-    LARGEST_FRAME,
     UNEVEN,
     Columns,
     check_rate,
     even_rows,
     find_columns,
+    frame_numbers,
     frames_at,
     irregular_rate,
     pairs_of,
@@ -208,7 +208,7 @@ def _recordings(
     who = word[found.individual].number if found.individual else zeros
     start = np.zeros(len(sets.entries))
     if found.frame is not None:
-        frames = _frame_numbers(table, found.frame, number[found.frame])
+        frames = frame_numbers(table, found.frame, number[found.frame])
     elif clock is None:
         frames = zeros.copy()
         for at in range(len(sets.entries)):
@@ -330,17 +330,6 @@ def _refuse_hidden_clock(table: tables.Table, found: Columns, pairs: Pairs) -> N
             f"{table.place(row)} some are missing: name it in the file, or by the option frame or "
             "time",
         )
-
-
-def _frame_numbers(table: tables.Table, column: str, frames: NDArray[np.float64]) -> Whole:
-    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
-    if bad.any():
-        at = int(bad.argmax())
-        raise InputError(
-            f"{table.path}: {table.place(at)}, column {column!r} holds {frames[at]:g}: give whole "
-            "numbers from 0"
-        )
-    return frames.astype(np.int64)
 
 
 def _check_extent(
