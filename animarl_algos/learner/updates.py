@@ -100,14 +100,8 @@ def minibatch_values(
         target_state = _burn_in(target, batch) if needs_target else None
     batch = _without_burn_in(batch)
     last_states = last_states or needs_target
-    active = batch.active if last_states else batch.active[1:]
-    packing = Packing(
-        time=batch.num_steps + last_states,
-        batch=batch.batch_size,
-        active=active[active > 0],
-        lengths=batch.lengths.cpu().numpy() + last_states,
-        device=batch.observations.device,
-    )
+    lengths, time = batch.lengths.cpu().numpy() + last_states, batch.num_steps + last_states
+    packing = Packing.from_lengths(lengths, time, batch.observations.device)
     observations, previous = batch.observations, batch.previous_actions
     if not last_states:
         observations, previous = observations[:, :-1], previous[:, :-1]
@@ -227,8 +221,7 @@ def _without_burn_in(batch: SequenceBatch) -> SequenceBatch:
         return batch
     present = ((name, getattr(batch, name)) for name in BY_STEP)
     cut = {name: value[:, b:] for name, value in present if value is not None}
-    cut |= {"lengths": batch.lengths - b, "active": batch.active[b:]}
-    return replace(batch, burn_in=0, initial_state=None, **cut)
+    return replace(batch, burn_in=0, initial_state=None, lengths=batch.lengths - b, **cut)
 
 
 @torch.no_grad()

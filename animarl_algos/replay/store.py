@@ -89,7 +89,7 @@ class SequenceBatch:
     whole episodes ``burn_in`` and all ``starts`` are zero.
 
     Columns are sorted by decreasing length, individual by individual, so that at time t only the
-    first ``active[t]`` columns need computing.
+    first few need computing (:class:`animarl_algos.networks.layers.Packing`).
 
     The true successor of a column's last step is its last observation (the terminal one where an
     episode ended). A time-out is not terminated: it bootstraps.
@@ -108,7 +108,6 @@ class SequenceBatch:
     indices: NDArray[np.int64]  # (K, B), which sequences these are
     labels: torch.Tensor  # (K, T, B) int64, demonstrated action aligned with the step, or -1
     condition: torch.Tensor  # (K, B) float32, of the column's episode, 0 or 1
-    active: NDArray[np.int64]  # (T + 1,), columns with an observation at t, largest over K
     burn_in: int = 0
     initial_state: torch.Tensor | None = None  # (K, B, H), before the step at starts; None: zeros
     action_penalties: torch.Tensor | None = None  # (K, T, B, A), of each action; demonstrations'
@@ -128,7 +127,7 @@ class SequenceBatch:
         return self.actions.shape[2]
 
     def to(self, device: torch.device | str) -> SequenceBatch:
-        """Return the batch on ``device``; ``indices`` and ``active`` stay NumPy arrays."""
+        """Return the batch on ``device``; ``indices`` stay a NumPy array."""
         tensors: dict[str, Any] = {
             name: value.to(device)
             for name, value in vars(self).items()
@@ -164,7 +163,6 @@ def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no
     lengths = np.empty((individuals, columns), np.int64)
     condition = np.empty((individuals, columns), np.float32)
     initial_state = np.empty((individuals, columns, units), np.float32)
-    active = np.zeros(burn_in + trained + 1, np.int64)
     for k in range(individuals):
         for b in range(columns):
             slot = slots[k, b]
@@ -173,8 +171,6 @@ def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no
             starts[k, b], lengths[k, b] = start, end
             condition[k, b] = sequences.condition[slot]
             initial_state[k, b] = sequences.initial_state[slot, k]
-            for t in range(end + 1):
-                active[t] = max(active[t], b + 1)
             row = sequences.first[slot]
             previous = no_action
             if not sequences.at_start[slot]:
@@ -198,7 +194,7 @@ def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no
         observations, previous_actions, actions, rewards, penalties, terminated, mask,
         starts, lengths, labels, condition, initial_state, scored,
     )  # fmt: skip
-    return arrays, active, burn_in
+    return arrays, burn_in
 
 
 def gather(
@@ -216,7 +212,7 @@ def gather(
     ``per_action`` ``(rows, K, numbers)`` becomes its ``action_penalties``.
     """
     scored = np.zeros((0, len(slots), 0), np.float32) if per_action is None else per_action
-    arrays, active, burn_in = _gather(frames, scored, sequences, slots, num_actions)
+    arrays, burn_in = _gather(frames, scored, sequences, slots, num_actions)
     tensors = dict(zip(GATHERED, map(torch.from_numpy, arrays), strict=True))
     for name in ("initial_state", "action_penalties"):
         if not tensors[name].shape[-1]:
@@ -225,7 +221,6 @@ def gather(
         **tensors,
         weights=torch.ones(slots.shape) if weights is None else torch.from_numpy(weights),
         indices=indices,
-        active=active,
         burn_in=int(burn_in),
     )
 
