@@ -351,7 +351,7 @@ class SequenceReplayBuffer:
             place = (shares * self.num_sequences).astype(np.int64)
             slots = self._slots(self.oldest_serial + np.minimum(place, self.num_sequences - 1))
         order = np.argsort(-self.sequences.trained[slots], axis=1, kind="stable")
-        slots = np.take_along_axis(slots, order, axis=1)
+        slots = slots[np.arange(len(slots))[:, None], order]
         batch = gather(
             *(self.frames, self.sequences, slots),
             indices=self.oldest_serial + self._slots(slots - self.oldest_serial),
@@ -364,7 +364,7 @@ class SequenceReplayBuffer:
         """Return w_i = (N P(i))^-beta over the largest of its individual, P(i) = p_i / sum p."""
         start, end = BETA
         beta = start + min(max(progress, 0.0), 1.0) * (end - start)
-        priorities = np.take_along_axis(self.trees.priorities, slots, axis=1)
+        priorities = self.trees.priorities[np.arange(len(slots))[:, None], slots]
         weights = (self.num_sequences * priorities / self.trees.nodes[:, 1:2]) ** -beta
         scaled: NDArray[np.float64] = weights.astype(np.float32) / weights.max(1, keepdims=True)
         return scaled.astype(np.float32)
