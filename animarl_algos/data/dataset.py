@@ -110,17 +110,14 @@ class OfflineDataset:
         labels = self._checked("actions", actions, np.int16, (frames, k))
         self._check_actions(labels, first, size)
         penalties = np.zeros((frames, k), np.float32)
-        self._per_action: dict[str, NDArray[np.float32]] = {}
+        none = np.zeros((frames, k, 0), np.float32)
+        scored = shares = none
         if action_penalties is not None:
             scored = self._checked("action_penalties", action_penalties, np.float32, per_action)
             taken = np.maximum(labels, 0).astype(np.int64)[..., None]
             penalties = np.take_along_axis(scored, taken, axis=2)[..., 0]
-            self._per_action["action_penalties"] = scored
         if label_shares is not None:
             shares = self._checked("label_shares", label_shares, np.float32, per_action)
-            self._per_action["label_shares"] = shares
-        together = list(self._per_action.values()) or [np.zeros((frames, k, 0), np.float32)]
-        self._scored = np.concatenate(together, axis=2)
         self.mirror = mirror
         self._frames = Frames(
             observations=self._checked("observations", observations, np.float32, (frames, k, dim)),
@@ -129,6 +126,8 @@ class OfflineDataset:
             penalties=penalties,
             labels=labels,
             warmup=self._checked("warmup", warmup, np.bool_, (frames,)),
+            action_penalties=scored,
+            label_shares=shares,
         )
         self._sequences = Sequences.zeros(len(size), k, 0)._replace(
             first=first,
@@ -222,18 +221,9 @@ class OfflineDataset:
     def _gathered(
         self, sequences: Sequences, slots: NDArray[np.int64], indices: NDArray[np.int64]
     ) -> SequenceBatch:
-        batch = gather(
-            *(self._frames, sequences, slots),
-            indices=indices,
-            num_actions=self.num_actions,
-            per_action=self._scored,
+        return gather(
+            *(self._frames, sequences, slots), indices=indices, num_actions=self.num_actions
         )
-        scored, batch.action_penalties = batch.action_penalties, None
-        if scored is not None:
-            for place, name in enumerate(self._per_action):
-                part = slice(place * self.num_actions, (place + 1) * self.num_actions)
-                setattr(batch, name, scored[..., part])
-        return batch
 
     def windows(
         self,

@@ -225,6 +225,10 @@ class SequenceReplayBuffer:
         """Rows in use, from the oldest episode's first on."""
         return np.arange(self.next_row - self.rows_used, self.next_row) % self.buffer_size
 
+    def _used_slots(self) -> NDArray[np.int64]:
+        """Slots in use, from the oldest sequence on."""
+        return self._slots(np.arange(self.oldest_serial, self.next_serial))
+
     def _slots(self, serials: ArrayLike) -> NDArray[np.int64]:
         return np.asarray(serials) % len(self.sequences.first)
 
@@ -393,23 +397,21 @@ class SequenceReplayBuffer:
 
     def _used(self) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
         """Arrays with the part of them that is in use, as the cursor and the step counts say."""
-        rows, slots = (
-            self._used_rows(),
-            self._slots(np.arange(self.oldest_serial, self.next_serial)),
-        )
         first = np.arange(self.num_copies) * (self.max_episode_steps + 1)
-        each = np.arange(self.num_individuals)
         running = np.concatenate([f + np.arange(n) for f, n in zip(first, self.step_count)])
-        return {
-            "streams": (self.streams, each),
-            "max_priority": (self.max_priority, each),
+        used: dict[str, Any] = {
+            "streams": (self.streams, np.arange(self.num_individuals)),
+            "max_priority": (self.max_priority, np.arange(self.num_individuals)),
             "staged_state": (self.staged_state, np.arange(self.num_copies)),
-            **{f"ring_{name}": (array, rows) for name, array in self.frames._asdict().items()},
-            **{f"sequence_{name}": (a, slots) for name, a in self.sequences._asdict().items()},
-            **{
-                f"staging_{name}": (array, running) for name, array in self.staged._asdict().items()
-            },
         }
+        for prefix, arrays, part in (
+            ("ring", self.frames, self._used_rows()),
+            ("sequence", self.sequences, self._used_slots()),
+            ("staging", self.staged, running),
+        ):
+            named = arrays._asdict().items()
+            used |= {f"{prefix}_{name}": (array, part) for name, array in named if array.size}
+        return used
 
     def state(self) -> dict[str, Any]:
         """Return arrays (copies) and plain numbers from which an interrupted run goes on exactly.
@@ -419,8 +421,8 @@ class SequenceReplayBuffer:
         state: dict[str, Any] = {name: getattr(self, name) for name in _SETTINGS}
         state["num_copies"] = self.num_copies
         state["cursor"] = np.array([getattr(self, name) for name in _CURSOR])
-        slots = self._slots(np.arange(self.oldest_serial, self.next_serial))
-        state["priorities"] = self.trees.priorities[:, slots if self.prioritized else []]
+        slots = self._used_slots() if self.prioritized else np.zeros(0, dtype=np.int64)
+        state["priorities"] = self.trees.priorities[:, slots]
         state["step_count"] = self.step_count.copy()
         return state | {name: array[part] for name, (array, part) in self._used().items()}
 
@@ -441,8 +443,7 @@ class SequenceReplayBuffer:
             for name, (array, part) in self._used().items():
                 array[part] = state[name]
             if self.prioritized:
-                slots = self._slots(np.arange(self.oldest_serial, self.next_serial))
-                self.trees.restore(slots, state["priorities"])
+                self.trees.restore(self._used_slots(), state["priorities"])
         except InputError:
             raise
         except (KeyError, IndexError, TypeError, ValueError) as error:

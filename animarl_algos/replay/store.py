@@ -31,6 +31,9 @@ class Frames(NamedTuple):
     penalties: NDArray[np.float32]  # (rows, K)
     labels: NDArray[np.int16]  # (rows, K), NO_LABEL: none
     warmup: NDArray[np.bool_]  # (rows,), the step is replayed, not chosen
+    # Of each action, (rows, K, actions); of experienced steps there are none: (rows, K, 0).
+    action_penalties: NDArray[np.float32]
+    label_shares: NDArray[np.float32]  # soft labels
 
     @classmethod
     def zeros(cls, rows: int, individuals: int, size: int) -> Frames:
@@ -40,6 +43,7 @@ class Frames(NamedTuple):
             *(np.zeros((*each, size), np.float32), np.zeros(each, np.int16)),
             *(np.zeros(each, np.float32), np.zeros(each, np.float32)),
             *(np.zeros(each, np.int16), np.zeros(rows, np.bool_)),
+            *(np.zeros((*each, 0), np.float32), np.zeros((*each, 0), np.float32)),
         )
 
     def write(self, rows: NDArray[np.int64], step: Mapping[str, Any]) -> None:
@@ -137,7 +141,7 @@ class SequenceBatch:
 
 
 @jit
-def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no-untyped-def]
+def _gather(frames, sequences, slots, no_action):  # type: ignore[no-untyped-def]
     """Copy the sequences in ``slots`` ``(K, B)`` into new arrays, padded and aligned.
 
     Trained parts begin at the same time in all columns; shorter prefixes are padded before.
@@ -149,7 +153,7 @@ def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no
         for b in range(columns):
             burn_in = max(burn_in, sequences.prefix[slots[k, b]])
             trained = max(trained, sequences.trained[slots[k, b]])
-    num_scored, units = per_action.shape[2], sequences.initial_state.shape[2]
+    units = sequences.initial_state.shape[2]
     each = (individuals, burn_in + trained, columns)
     states = (individuals, burn_in + trained + 1, columns)
     observations = np.zeros((*states, size), np.float32)
@@ -158,7 +162,8 @@ def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no
     rewards, penalties = np.zeros(each, np.float32), np.zeros(each, np.float32)
     terminated, mask = np.zeros(each, np.float32), np.zeros(each, np.float32)
     labels = np.full(each, NO_LABEL, np.int64)
-    scored = np.zeros((*each, num_scored), np.float32)
+    scored = np.zeros((*each, frames.action_penalties.shape[2]), np.float32)
+    shares = np.zeros((*each, frames.label_shares.shape[2]), np.float32)
     starts = np.empty((individuals, columns), np.int64)
     lengths = np.empty((individuals, columns), np.int64)
     condition = np.empty((individuals, columns), np.float32)
@@ -187,12 +192,14 @@ def _gather(frames, per_action, sequences, slots, no_action):  # type: ignore[no
                     terminated[k, t, b] = t == end - 1 and sequences.terminated[slot]
                     mask[k, t, b] = t >= burn_in and not frames.warmup[row]
                     labels[k, t, b] = frames.labels[row, k]
-                    for i in range(num_scored):
-                        scored[k, t, b, i] = per_action[row, k, i]
+                    for i in range(scored.shape[3]):
+                        scored[k, t, b, i] = frames.action_penalties[row, k, i]
+                    for i in range(shares.shape[3]):
+                        shares[k, t, b, i] = frames.label_shares[row, k, i]
                     row = row + 1 if row + 1 < rows else 0
     arrays = (
         observations, previous_actions, actions, rewards, penalties, terminated, mask,
-        starts, lengths, labels, condition, initial_state, scored,
+        starts, lengths, labels, condition, initial_state, scored, shares,
     )  # fmt: skip
     return arrays, burn_in
 
@@ -205,16 +212,11 @@ def gather(
     indices: NDArray[np.int64],
     num_actions: int,
     weights: NDArray[np.float32] | None = None,
-    per_action: NDArray[np.float32] | None = None,
 ) -> SequenceBatch:
-    """Return the batch of the sequences in ``slots`` ``(K, B)``, sorted by decreasing length.
-
-    ``per_action`` ``(rows, K, numbers)`` becomes its ``action_penalties``.
-    """
-    scored = np.zeros((0, len(slots), 0), np.float32) if per_action is None else per_action
-    arrays, burn_in = _gather(frames, scored, sequences, slots, num_actions)
+    """Return the batch of the sequences in ``slots`` ``(K, B)``, sorted by decreasing length."""
+    arrays, burn_in = _gather(frames, sequences, slots, num_actions)
     tensors = dict(zip(GATHERED, map(torch.from_numpy, arrays), strict=True))
-    for name in ("initial_state", "action_penalties"):
+    for name in ("initial_state", "action_penalties", "label_shares"):
         if not tensors[name].shape[-1]:
             del tensors[name]
     return SequenceBatch(
@@ -228,4 +230,5 @@ def gather(
 GATHERED = (
     "observations", "previous_actions", "actions", "rewards", "penalties", "terminated", "mask",
     "starts", "lengths", "labels", "condition", "initial_state", "action_penalties",
+    "label_shares",
 )  # fmt: skip

@@ -72,13 +72,13 @@ BUDGETS = {
     "animarl_algos": 216,
     "animarl_algos.benchmark": 1_717,
     "animarl_algos.cli": 2_550,
-    "animarl_algos.data": 1_193,
+    "animarl_algos.data": 1_183,
     "animarl_algos.evaluation": 4_753,
-    "animarl_algos.learner": 2_900,
+    "animarl_algos.learner": 2_893,
     "animarl_algos.losses": 587,
     "animarl_algos.networks": 1_711,
     "animarl_algos.recipes": 195,
-    "animarl_algos.replay": 809,
+    "animarl_algos.replay": 808,
     "animarl_algos.report": 2_048,
     "animarl_algos.runs": 2_653,
     "animarl_algos.whatif": 2_048,
@@ -94,7 +94,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 273,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 28_641
+TESTS = 28_639
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 
