@@ -43,7 +43,8 @@ def run_player(inputs: ReportInputs) -> Player:
     learner = method_label(inputs.learner)
     views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
     said = "from rollouts near their recording to far from it (DTW distance)."
-    return play(inputs, scenes, views, f"{len(scenes)} test starts, all different, {said}")
+    several = "s, all different," if len(scenes) > 1 else ""
+    return play(inputs, scenes, views, f"{len(scenes)} test start{several} {said}")
 
 
 def play(

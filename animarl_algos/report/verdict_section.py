@@ -75,7 +75,8 @@ def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
 def _headline(verdict: Verdict) -> str:
     return HEADLINES[verdict.judgement].format(
         learner=method_label(verdict.learner),
-        size=f"{verdict.rollouts} rollouts from {verdict.starts} starts",
+        size=f"{verdict.rollouts} rollouts from {verdict.starts} "
+        f"start{'s' * (verdict.starts != 1)}",
         why=f"; {verdict.too_little}" if verdict.too_little else "",
     )
 

@@ -170,12 +170,13 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
 def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
     """The names of conditions 0 and 1: ``0`` and ``1`` themselves, or words as they occur."""
     found = tuple(dict.fromkeys(word for word in words if word is not None))
-    alike = {word.casefold(): word for word in found}
+    alike = {"".join(word.casefold().split()): word for word in found}
     for word in found:
-        other = alike[word.casefold()]
+        other = alike["".join(word.casefold().split())]
         require(
             word == other,
-            f"{place}: conditions {word!r} and {other!r} differ only in capitals: write them alike",
+            f"{place}: conditions {word!r} and {other!r} differ only in capitals or blanks: write "
+            "them alike",
         )
     if found and set(found) <= {"0", "1"}:
         return ("0", "1")
