@@ -96,8 +96,8 @@ class BaseLearner(OffPolicyAlgorithm):
     learning_rate
         Of Adam, a number or a schedule of the remaining progress.
     demonstrations
-        :class:`~animarl_envs.demos.Demonstrations`, or an object with ``train`` and ``val``
-        datasets; by default the environment's own, if it has any.
+        :class:`~animarl_envs.demos.demonstrations.Demonstrations`, or an object with ``train``
+        and ``val`` datasets; by default the environment's own, if it has any.
     seed, device, verbose, tensorboard_log
         As in stable-baselines3.
     settings

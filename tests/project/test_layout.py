@@ -4,8 +4,6 @@ Everything is read from the sources; nothing is imported. Imports inside functio
 and so do those under ``TYPE_CHECKING``: what needs another's type depends on it.
 """
 
-from __future__ import annotations
-
 import ast
 import graphlib
 from functools import cache

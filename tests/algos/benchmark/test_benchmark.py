@@ -1,7 +1,5 @@
 """The benchmark as a whole, on tiny trainings: same bytes however it is run, errors recorded."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

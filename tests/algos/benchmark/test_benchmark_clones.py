@@ -1,7 +1,5 @@
 """Cells that begin with the same offline phase share it, and come to the same bytes as alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

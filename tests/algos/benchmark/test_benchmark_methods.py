@@ -1,7 +1,5 @@
 """Others' methods and submissions in the benchmark: what is asked of them, and what is refused."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Callable

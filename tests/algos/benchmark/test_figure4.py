@@ -1,7 +1,5 @@
 """Small parts of the benchmark scripts: figure 4, scale, floors, the first hour, true programs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Submissions that could not be are refused in a sentence; cross-validation tests all once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

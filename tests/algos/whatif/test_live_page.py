@@ -1,7 +1,5 @@
 """The what-if page: its simulator step by step beside Python's, and the page in a browser."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The tasks that the views are by default: opponents act, time costs, starts lie all around."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 
