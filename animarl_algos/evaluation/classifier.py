@@ -32,6 +32,7 @@ from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKN
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
+from animarl_envs.errors import require
 from animarl_envs.fitting.tracking import Tracking
 
 FEWEST_STEPS = 4  # of a window, where decisions are slow
@@ -458,6 +459,11 @@ def _compare(
 
 def followed(demos: Demonstrations, tracking: Tracking) -> Rollouts:
     """The demonstrations as tracking follows them, on the grid on which positions were stored."""
+    require(
+        tracking.positions.shape == demos.positions.shape,
+        f"the tracking has shape {tracking.positions.shape} and the demonstrations "
+        f"{demos.positions.shape}: track the evaluated ones",
+    )
     stored = rounded(tracking.positions, demos.resolution())
     return replace(Rollouts.from_demonstrations(demos), positions=stored)
 

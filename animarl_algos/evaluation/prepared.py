@@ -23,6 +23,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.demos.summary import RESTING_SHARE, Unit, unit_of
 from animarl_envs.dtw import dtw_alignment
+from animarl_envs.errors import require
 
 REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
 WINDOW = 2.0  # [s]
@@ -162,6 +163,8 @@ def smoothed(positions: Floats, lengths: Ints, frames: int) -> Floats:
     errors that grow with the size of the set, by which a classifier tells a large set from a small
     one.)
     """
+    odd = frames > 0 and frames % 2 == 1
+    require(odd, f"smoothing is over {frames} frames: give an odd number, 1 for none")
     if frames == 1:
         return np.asarray(positions)
     ends = np.cumsum(lengths)
