@@ -339,10 +339,9 @@ def declared_limit(env: VecEnv) -> int | None:
     or what the Gymnasium specs say; of several the longest.
     """
     # The last is that of Gymnasium's TimeLimit, around an environment without a spec.
-    names = ["max_episode_steps", "time_limit", "_max_episode_steps"]
-    if declared(env, "scenario") is None:
-        names.remove("time_limit")  # another package's, maybe in seconds
-    for name in names:
+    for name in ("max_episode_steps", "time_limit", "_max_episode_steps"):
+        if name == "time_limit" and declared(env, "scenario") is None:
+            continue  # another package's, maybe in seconds
         limit = getattr(env, name, None)
         if limit is None and env.has_attr(name):
             each = env.get_attr(name)

@@ -268,8 +268,7 @@ class SequenceReplayBuffer:
         self.staged.write(rows, frames)
         if self.state_size and hidden is not None:
             # Pieces whose first step, prefix included, is this one.
-            begins = np.arange(0, self.max_episode_steps, self.stride) - self.burn_in
-            copies, pieces = np.nonzero(steps[:, None] == np.maximum(begins, 0))
+            copies, pieces = np.nonzero(steps[:, None] == self.begins)
             self.staged_state[copies, pieces] = hidden[copies]
         steps += 1
         over = np.flatnonzero(terminated if truncated is None else terminated | truncated)
@@ -460,7 +459,8 @@ class SequenceReplayBuffer:
         self.num_copies, pieces = copies, math.ceil(steps / self.stride)
         self.staged = Frames.zeros(copies * (steps + 1), k, self.observation_dim)
         self.step_count = np.zeros(copies, dtype=np.int64)
-        # The recurrent state before each piece.
+        # The first step of each piece, prefix included, and the recurrent state before it.
+        self.begins = np.maximum(np.arange(0, steps, self.stride) - self.burn_in, 0)
         self.staged_state = np.zeros((copies, pieces, k, self.state_size), dtype=np.float32)
         arrays = (*self.staged, self.staged_state)
         check_memory(arrays, f"{copies} copies of max_episode_steps {steps}")

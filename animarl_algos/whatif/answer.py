@@ -84,12 +84,11 @@ class Answer:
     table
         One row per quantity: ``scenario, quantity, unit, recorded, baseline, changed, shift, low,
         high, gap, covers, other_reading, seeds_low, seeds_high, beyond, null_low, null_high, p,
-        warning, judged, finding``. ``gap`` is baseline minus recorded, where rollouts stop
-        with a recording that was cut (:func:`~animarl_algos.evaluation.prepared.censored`);
-        ``seeds_low`` to
-        ``seeds_high`` the range of the shifts of single training seeds, ``beyond`` the share of
-        steps more than usual with inputs that training did not have. ``null_low`` to ``null_high``
-        is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these move
+        warning, judged, finding``. ``gap`` is baseline minus recorded, where rollouts stop with a
+        recording that was cut (:func:`~animarl_algos.evaluation.prepared.censored`).
+        ``seeds_low`` to ``seeds_high`` is the range of the shifts of single training seeds,
+        ``beyond`` the share of steps more than usual with inputs that training did not have.
+        ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these move
         any quantity as far.
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
         falls.

@@ -72,14 +72,14 @@ BUDGETS = {
     "animarl_algos.cli": 2_550,
     "animarl_algos.data": 1_183,
     "animarl_algos.evaluation": 4_762,
-    "animarl_algos.learner": 2_893,
+    "animarl_algos.learner": 2_892,
     "animarl_algos.losses": 587,
     "animarl_algos.networks": 1_711,
     "animarl_algos.recipes": 195,
     "animarl_algos.replay": 808,
     "animarl_algos.report": 2_050,
     "animarl_algos.runs": 2_653,
-    "animarl_algos.whatif": 2_048,
+    "animarl_algos.whatif": 2_047,
     "animarl_algos.zoo": 473,
     "animarl_envs": 2_390,
     "animarl_envs.demos": 1_227,
@@ -92,7 +92,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 273,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
-TESTS = 28_623
+TESTS = 28_620
 """Most lines of Python in the tests, lowered likewise; they are to be 28,000."""
 
 

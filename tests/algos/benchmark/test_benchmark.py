@@ -140,19 +140,25 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="it looks into /proc")
-def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
-    out, here = tmp_path / "killed", Path(__file__).parent
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
+def begun(script: str, out: Path, sign: str) -> subprocess.Popen[bytes]:
+    """A benchmark in a process of its own, as soon as ``out`` holds a file of this pattern."""
+    file, here = out.with_suffix(".py"), Path(__file__).parent
+    file.write_text(script)
     paths = os.pathsep.join(map(str, (here.parents[2], here.parents[1], here)))
     child = subprocess.Popen(
-        [sys.executable, str(script), str(out)], env={**os.environ, "PYTHONPATH": paths}
+        [sys.executable, str(file), str(out)], env={**os.environ, "PYTHONPATH": paths}
     )
     began = time.monotonic()
-    while not list(out.glob("cells/*/cost.json")) and child.poll() is None:
+    while not list(out.glob(sign)) and child.poll() is None:
         assert time.monotonic() - began < 240
         time.sleep(0.05)
+    return child
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="it looks into /proc")
+def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
+    out, began = tmp_path / "killed", time.monotonic()
+    child = begun(SCRIPT, out, "cells/*/cost.json")
     numbers = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()
     workers = [Path(f"/proc/{number}/stat") for number in numbers]
     child.kill()  # which leaves it no time to tell its workers
@@ -168,18 +174,9 @@ def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="it looks into /proc")
 def test_benchmark_that_is_told_to_end_begins_no_further_piece(tmp_path: Path) -> None:
     """Of two cells the first worker begins one, and would take the other, too, when told to end."""
-    out, here = tmp_path / "ended", Path(__file__).parent
-    script = tmp_path / "script.py"
     long = {"soft-bc": {"offline_epochs": 100_000}}
-    script.write_text(SCRIPT.replace("tiny()", f"tiny(settings={long})"))
-    paths = os.pathsep.join(map(str, (here.parents[2], here.parents[1], here)))
-    child = subprocess.Popen(
-        [sys.executable, str(script), str(out)], env={**os.environ, "PYTHONPATH": paths}
-    )
-    began = time.monotonic()
-    while not list(out.glob("cells/*/run/logs")) and child.poll() is None:
-        assert time.monotonic() - began < 240
-        time.sleep(0.05)
+    script = SCRIPT.replace("tiny()", f"tiny(settings={long})")
+    child = begun(script, tmp_path / "ended", "cells/*/run/logs")
     child.send_signal(signal.SIGINT)
     assert child.wait(60) != 0
 
