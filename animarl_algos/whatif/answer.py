@@ -88,8 +88,8 @@ class Answer:
         recording that was cut (:func:`~animarl_algos.evaluation.prepared.censored`).
         ``seeds_low`` to ``seeds_high`` is the range of the shifts of single training seeds,
         ``beyond`` the share of steps more than usual with inputs that training did not have.
-        ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie, and ``p`` how often these move
-        any quantity as far.
+        ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
+        and ``p`` how often these move any quantity as far.
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
         falls.
     warning
