@@ -85,7 +85,7 @@ BUDGETS = {
     "animarl_envs.demos": 1_227,
     "animarl_envs.drawing": 978,
     "animarl_envs.fitting": 2_348,
-    "animarl_envs.importing": 5_296,
+    "animarl_envs.importing": 5_330,
     "animarl_envs.species": 1_156,
     "animarl_envs.views": 916,
     "animarl_envs.worlds": 4_159,

@@ -18,24 +18,26 @@ from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
-from animarl_envs.importing.readers.columns import (
-    CLOCKS,
+from animarl_envs.importing.clock import (
     UNEVEN,
-    Columns,
     check_rate,
     even_rows,
-    find_columns,
-    frame_numbers,
     frames_at,
     irregular_rate,
+    rate_of_frames,
+    refuse_times_going_back,
+    seconds,
+)
+from animarl_envs.importing.readers.columns import (
+    CLOCKS,
+    Columns,
+    find_columns,
+    frame_numbers,
     pairs_of,
     parsed_names,
     radians_per_unit,
-    rate_of_frames,
-    refuse_times_going_back,
     refuse_two_rows,
     refuse_unused_pair,
-    seconds,
     suggested_command,
 )
 from animarl_envs.importing.readers.registry import register_track_reader

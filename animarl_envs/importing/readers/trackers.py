@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing import tables
+from animarl_envs.importing.clock import rate_of_rows, refuse_uneven_frames
 from animarl_envs.importing.readers.arrays import (
     hdf_keys,
     is_hdf,
@@ -31,7 +32,6 @@ from animarl_envs.importing.readers.arrays import (
     open_hdf,
     read_dataset,
 )
-from animarl_envs.importing.readers.columns import rate_of_rows, refuse_uneven_frames
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import read_long_table
 from animarl_envs.importing.tables import Table, plain_table
