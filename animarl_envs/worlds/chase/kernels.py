@@ -358,21 +358,8 @@ def judge_free(  # type: ignore[no-untyped-def]
 LOOKS = 3  # a target looks ahead by thirds of the time in which its thrust carries it half a size
 WALL_WEIGHT = 10.0  # of the walls' cost, beside (size / distance)^2 of each pursuer
 SOFTENING = 0.0025  # added to the squared distance in sizes, which may be zero
+BLOCK = 64  # copies that a rule decides for at a time
 WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
-
-
-@nb.njit(inline="always")
-def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
-    """Return the squared depth of ``(x, y)`` in the margin along the wall, in margins; 0 inside."""
-    margin = WALL_MARGIN * size
-    if shape == SQUARE:
-        depth_x = max(0.0, abs(x) - size + margin) / margin
-        depth_y = max(0.0, abs(y) - size + margin) / margin
-        return depth_x * depth_x + depth_y * depth_y
-    if shape == DISC:
-        depth = max(0.0, math.sqrt(x * x + y * y) - size + margin) / margin
-        return depth * depth
-    return 0.0
 
 
 @nb.njit(inline="always")
@@ -388,6 +375,71 @@ def _reach(damping, thrust, dt, steps):  # type: ignore[no-untyped-def]
     return carried, thrust * dt * (steps * dt - carried) / damping
 
 
+FAR_AWAY = 1e9  # a pursuer there costs nothing; it makes their number even
+
+
+@part
+def _place_pursuer(  # type: ignore[no-untyped-def]
+    j, i, row, begin, count, position, velocity, carried, pushed, theirs
+):
+    """Write where pursuer ``j`` will be if it accelerates straight at where target ``i`` is now.
+
+    Velocity carries it ``carried`` times its length, thrust ``pushed`` arena units. ``theirs``
+    ``(rows, copies)`` gets x and y from ``row`` on, of ``count`` copies from ``begin`` on.
+    """
+    for b in range(count):
+        to_x = position[i, 0, begin + b] - position[j, 0, begin + b]
+        to_y = position[i, 1, begin + b] - position[j, 1, begin + b]
+        chase = pushed / (math.sqrt(to_x * to_x + to_y * to_y) + 1e-9)
+        x = position[j, 0, begin + b] + carried * velocity[j, 0, begin + b]
+        y = position[j, 1, begin + b] + carried * velocity[j, 1, begin + b]
+        theirs[row, b] = x + chase * to_x
+        theirs[row + 1, b] = y + chase * to_y
+
+
+@nb.njit(inline="always")
+def _danger(x, y, row, b, theirs, soft, wall):  # type: ignore[no-untyped-def]
+    """Return the cost of being at ``(x, y)``: (1 / distance)^2 of two pursuers, and of the wall.
+
+    ``row`` is the first of the pursuers' four in ``theirs``. The wall, ``(shape, inside, weight)``,
+    costs the squared depth in the margin beyond ``inside``.
+    """
+    shape, inside, weight = wall
+    dx = theirs[row, b] - x
+    dy = theirs[row + 1, b] - y
+    one = dx * dx + dy * dy + soft
+    dx = theirs[row + 2, b] - x
+    dy = theirs[row + 3, b] - y
+    two = dx * dx + dy * dy + soft
+    cost = (one + two) / (one * two)  # one division for both
+    if shape == SQUARE:
+        depth_x = max(0.0, abs(x) - inside)
+        depth_y = max(0.0, abs(y) - inside)
+        cost += weight * (depth_x * depth_x + depth_y * depth_y)
+    elif shape == DISC:
+        depth = max(0.0, math.sqrt(x * x + y * y) - inside)
+        cost += weight * depth * depth
+    return cost
+
+
+@jit
+def _add_danger(ahead, left, reach, row, mine, theirs, soft, wall, cost):  # type: ignore[no-untyped-def]
+    """Add to ``cost`` ``(copies,)`` the danger of a push at the three looks, from two pursuers."""
+    carried_1, carried_2, carried_3 = reach[0, 0], reach[1, 0], reach[2, 0]
+    pushed_1, pushed_2, pushed_3 = reach[0, 1], reach[1, 1], reach[2, 1]
+    for b in range(cost.shape[0]):
+        x, y, vx, vy = mine[0, b], mine[1, b], mine[2, b], mine[3, b]
+        ax = ahead * mine[4, b] - left * mine[5, b]
+        ay = ahead * mine[5, b] + left * mine[4, b]
+        x1, y1 = x + carried_1 * vx + pushed_1 * ax, y + carried_1 * vy + pushed_1 * ay
+        x2, y2 = x + carried_2 * vx + pushed_2 * ax, y + carried_2 * vy + pushed_2 * ay
+        x3, y3 = x + carried_3 * vx + pushed_3 * ax, y + carried_3 * vy + pushed_3 * ay
+        danger = _danger(x1, y1, row, b, theirs, soft, wall)
+        danger += _danger(x2, y2, row + 4, b, theirs, soft, wall)
+        danger += _danger(x3, y3, row + 8, b, theirs, soft, wall)
+        cost[b] += danger
+
+
 @jit
 def decide(  # type: ignore[no-untyped-def]
     i, position, velocity, towards, damping, thrust, pushes, dt, shape, size, lone, actions
@@ -395,7 +447,9 @@ def decide(  # type: ignore[no-untyped-def]
     """Write the action of individual ``i``'s rule in each copy to ``actions[i]``, ``(B,)``.
 
     ``pushes`` ``(K, 2, A)`` are the actions' vectors in multiples of the thrust, ahead and left.
-    ``lone``: the last individual pursues all others, else all others pursue it.
+    ``lone``: the last individual pursues all others, else all others pursue it. Copies are taken
+    ``BLOCK`` at a time and pursuers two at a time, so that a loop's numbers stay in the first cache
+    and in registers.
     """
     K, _, B = position.shape
     last = K - 1
@@ -404,44 +458,46 @@ def decide(  # type: ignore[no-untyped-def]
     if (i == last) == lone:
         return
     first_pursuer, end = (last, K) if lone else (0, last)
-    square = size * size
+    pairs = (end - first_pursuer + 1) // 2
     steps = np.ceil(np.sqrt(size / thrust[i]) / dt)
-    cost, lowest = np.empty(B), np.empty(B)
-    for b in range(B):
-        lowest[b] = math.inf
-    own = np.empty((LOOKS, 2))  # written number by number: rows take numba seconds to compile
-    theirs = np.empty((LOOKS, end - first_pursuer, 2, B))  # where each pursuer will be
-    for look in range(LOOKS):
-        until = max(1.0, np.floor((look + 1) * steps / LOOKS))
-        own[look, 0], own[look, 1] = _reach(damping[i], thrust[i], dt, until)
-        for j in range(first_pursuer, end):
-            carried, pushed = _reach(damping[j], thrust[j], dt, until)
-            for b in range(B):
-                to_x = position[i, 0, b] - position[j, 0, b]
-                to_y = position[i, 1, b] - position[j, 1, b]
-                chase = pushed / (math.sqrt(to_x * to_x + to_y * to_y) + 1e-9)
-                x = position[j, 0, b] + carried * velocity[j, 0, b] + chase * to_x
-                y = position[j, 1, b] + carried * velocity[j, 1, b] + chase * to_y
-                theirs[look, j - first_pursuer, 0, b] = x
-                theirs[look, j - first_pursuer, 1, b] = y
-    for k in range(pushes.shape[2]):
-        ahead = pushes[i, 0, k]
-        left = pushes[i, 1, k]
-        for b in range(B):
-            cost[b] = 0.0
+    reach = np.empty((K, LOOKS, 2))
+    for j in range(K):
         for look in range(LOOKS):
-            carried, pushed = own[look, 0], own[look, 1]
-            for b in range(B):
-                x = position[i, 0, b] + carried * velocity[i, 0, b]
-                y = position[i, 1, b] + carried * velocity[i, 1, b]
-                x += pushed * (ahead * towards[i, 0, b] - left * towards[i, 1, b])
-                y += pushed * (ahead * towards[i, 1, b] + left * towards[i, 0, b])
-                cost[b] += WALL_WEIGHT * wall_cost(x, y, shape, size)
-                for j in range(end - first_pursuer):
-                    dx = theirs[look, j, 0, b] - x
-                    dy = theirs[look, j, 1, b] - y
-                    cost[b] += square / (dx * dx + dy * dy + SOFTENING * square)
-        for b in range(B):
-            better = cost[b] < lowest[b]
-            actions[i, b] = k if better else actions[i, b]
-            lowest[b] = cost[b] if better else lowest[b]
+            until = max(1.0, np.floor((look + 1) * steps / LOOKS))
+            reach[j, look, 0], reach[j, look, 1] = _reach(damping[j], thrust[j], dt, until)
+    soft, margin = SOFTENING * size * size, WALL_MARGIN * size
+    weight = WALL_WEIGHT / (margin * size) ** 2
+    room = min(B, BLOCK)  # scratch of a block; the last block may leave some of it unused
+    mine, theirs = np.zeros((6, room)), np.full((4 * LOOKS * pairs, room), FAR_AWAY)
+    cost, lowest, best = np.empty(room), np.empty(room), np.empty(room)
+    for begin in range(0, B, BLOCK):
+        count = min(B - begin, BLOCK)
+        for x in range(2):
+            for b in range(count):
+                mine[x, b] = position[i, x, begin + b]
+                mine[2 + x, b] = velocity[i, x, begin + b]
+                mine[4 + x, b] = towards[i, x, begin + b]
+        for j in range(first_pursuer, end):
+            pair, second = (j - first_pursuer) // 2, (j - first_pursuer) % 2
+            for look in range(LOOKS):
+                row = 4 * (LOOKS * pair + look) + 2 * second
+                carried, pushed = reach[j, look, 0], reach[j, look, 1]
+                _place_pursuer(j, i, row, begin, count, position, velocity, carried, pushed, theirs)
+        for b in range(room):
+            lowest[b] = math.inf
+            best[b] = 0.0
+        for k in range(pushes.shape[2]):
+            for b in range(room):
+                cost[b] = 0.0
+            for pair in range(pairs):
+                wall = shape, size - margin, weight if pair == 0 else 0.0
+                ahead, left = pushes[i, 0, k], pushes[i, 1, k]
+                first_row = 4 * LOOKS * pair
+                _add_danger(ahead, left, reach[i], first_row, mine, theirs, soft, wall, cost)
+            number = float(k)
+            for b in range(room):
+                better = cost[b] < lowest[b]
+                best[b] = number if better else best[b]
+                lowest[b] = cost[b] if better else lowest[b]
+        for b in range(count):
+            actions[i, begin + b] = int(best[b])
