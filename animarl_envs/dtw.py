@@ -241,7 +241,7 @@ class DTWTracker:
             _extend_rows(*told, WINDOW, self.bands, self.band_minimum, self._band_aligned)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Copies of what decides the future."""
+        """Return copies of all arrays that decide the future."""
         return {f"dtw_{name}": getattr(self, name).copy() for name in self._STATE}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:

@@ -28,7 +28,7 @@ residual: Any = nb.njit(inline="always")(locomotion.residual)
 def next_turn(  # type: ignore[no-untyped-def]
     turn, cosine, sine, velocity_x, velocity_y, persistence, gain, slip_cosine, slip_sine, fast
 ):
-    """The turn of a step [rad], by the equation of :mod:`animarl_envs.species.turning`.
+    """Return the turn of a step [rad], by the equation of :mod:`animarl_envs.species.turning`.
 
     ``cosine`` and ``sine`` are those of the heading before the step, ``fast`` is the speed about
     which walking turns the body in full.
@@ -45,13 +45,13 @@ def next_turn(  # type: ignore[no-untyped-def]
 
 @nb.njit(inline="always")
 def wrapped(angle):  # type: ignore[no-untyped-def]
-    """The same direction in [-pi, pi)."""
+    """Return the same direction in [-pi, pi)."""
     return angle - 2.0 * math.pi * math.floor(0.5 + angle / (2.0 * math.pi))
 
 
 @nb.njit(inline="always")
 def turn_between(before, after):  # type: ignore[no-untyped-def]
-    """The shorter way from one direction to another, both in [-pi, pi] [rad]."""
+    """Return the shorter way from one direction to another, both in [-pi, pi] [rad]."""
     turned = after - before
     if turned > math.pi:
         turned -= 2.0 * math.pi

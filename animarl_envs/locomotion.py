@@ -105,6 +105,7 @@ class Locomotion:
 
     @property
     def num_actions(self) -> int:
+        """Number of actions, 12 M + 1."""
         return NUM_DIRECTIONS * self.thrusts + 1
 
     @property

@@ -79,19 +79,19 @@ _AROUND = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
 
 
 def _ellipse(x: float, y: float, length: float, width: float, turn: float = 0.0) -> Outline:
-    """An ellipse centred at ``(x, y)``, turned by ``turn`` [degrees]."""
+    """Return an ellipse centred at ``(x, y)``, turned by ``turn`` [degrees]."""
     cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     along, across = 0.5 * length * np.cos(_AROUND), 0.5 * width * np.sin(_AROUND)
     return np.stack([x + cos * along - sin * across, y + sin * along + cos * across], axis=-1)
 
 
 def _both(outline: Outline, white: float = 0.0, rimmed: bool = True) -> Body:
-    """The part on the left and its mirror image on the right."""
+    """Return the part on the left and its mirror image on the right."""
     return Part(outline, white, rimmed), Part(outline * (1.0, -1.0), white, rimmed)
 
 
 def _ribbon(spine: list[tuple[float, float, float]]) -> Outline:
-    """A band along points ``(x, y, width)`` of a spine, smoothed between them."""
+    """Return a band along points ``(x, y, width)`` of a spine, smoothed between them."""
     x, y, width = np.array(spine).T
     at, fine = np.arange(len(spine)), np.linspace(0.0, len(spine) - 1.0, 4 * len(spine))
     middle = np.stack([np.interp(fine, at, x), np.interp(fine, at, y)], axis=-1)

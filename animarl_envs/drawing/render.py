@@ -90,7 +90,7 @@ def view_of(scene: Scene) -> View:
 
 
 def _middle(points: Points) -> tuple[Points, float]:
-    """The middle of the box around ``(n, 2)``, and half of its longer side."""
+    """Return the middle of the box around points ``(n, 2)`` and half of its longer side."""
     low, high = points.min(axis=0), points.max(axis=0)
     return (low + high) / 2, float((high - low).max()) / 2
 
@@ -127,7 +127,7 @@ class Renderer:
         self._clock: Any = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy or a pickle draws alike, and opens a window of its own."""
+        """Pickle and copy the settings; a copy opens its own window."""
         return type(self), (self.mode, self.size, self.fps)
 
     @property
@@ -196,16 +196,16 @@ class Renderer:
         return max(1, round(share * self.size))
 
     def _disc(self, centre: Points, radius: float, colour: RGB, width: int = 0) -> None:
-        """A disc around pixel coordinates, or with a ``width`` a circle [px]."""
+        """Draw a disc around pixel coordinates, or with a ``width`` [px] a circle."""
         self._pygame.draw.aacircle(self._page, colour, centre.tolist(), radius, width)
 
     def _polygon(self, points: Points, colour: RGB) -> None:
-        """A filled polygon of pixel coordinates with smooth edges."""
+        """Draw a filled polygon of pixel coordinates with smooth edges."""
         self._pygame.draw.polygon(self._page, colour, points.round().tolist())
         self._pygame.draw.aalines(self._page, colour, True, points.tolist())
 
     def _path(self, points: Points, colours: Sequence[RGB], width: int) -> None:
-        """A line through pixel coordinates ``(t, 2)``, each of its t - 1 pieces of its colour."""
+        """Draw a line through pixels ``(t, 2)``; each of its t - 1 pieces has its own colour."""
         line, page = self._pygame.draw.aaline, self._page
         for (start, end), colour in zip(pairwise(points.tolist()), colours, strict=True):
             line(page, colour, start, end, width)
@@ -213,7 +213,7 @@ class Renderer:
     # -- the arena --------------------------------------------------------------------------------
 
     def _draw_ground(self, scene: Scene) -> None:
-        """The empty arena and its scale, drawn anew only if it is another one."""
+        """Return the empty arena and its scale bar, drawn again only if the arena changed."""
         arena = scene.species.arena
         here = (arena, self._view, scene.unit, scene.searching)
         if self._ground is None or self._ground[0] != here:
@@ -241,7 +241,7 @@ class Renderer:
             self._path(np.concatenate([edge, edge[:1]]), colours, line)
 
     def _draw_scale(self, scene: Scene) -> None:
-        """A bar of a round length in the lower left corner, and in a search the wind."""
+        """Draw a bar of a round length in the lower left corner, and in a search the wind."""
         per_unit = self._scale / scene.unit.per_arena_unit
         length, label = round_length(0.2 * self.size / per_unit, scene.unit.name)
         left, low = 0.04 * self.size, 0.955 * self.size
@@ -272,7 +272,7 @@ class Renderer:
         self._page.blit(pygame.transform.smoothscale(sheet, size), corner.tolist())
 
     def _draw_reach(self, scene: Scene) -> None:
-        """The reach of contact around every target, and around the source."""
+        """Draw the contact radius around every target, and around the source."""
         reach, touched = scene.species.contact_radius * self._scale, scene.touched
         for i, role in enumerate(scene.species.roles):
             if role == "target":
@@ -291,7 +291,7 @@ class Renderer:
     # -- the animals ------------------------------------------------------------------------------
 
     def _draw_paths(self, scene: Scene) -> None:
-        """The trails, fading with age."""
+        """Draw the trails, which fade with age."""
         for i, trail in enumerate(scene.trails.swapaxes(0, 1)):
             own, pieces = colour_of(scene.species.roles[i], i), max(len(trail) - 1, 0)
             young = _fading_colours(own)[:pieces]
@@ -379,7 +379,7 @@ def _fading_colours(colour: RGB) -> list[RGB]:
 
 
 def _placed(shape: Points, centre: Points, heading: float, length: float) -> NDArray[np.float64]:
-    """A shape of the body frame in pixels: turned to ``heading`` (y up), scaled, moved."""
+    """Return a shape of the body frame in pixels: turned to ``heading`` (y up), scaled, moved."""
     cos, sin = math.cos(heading), math.sin(heading)
     return np.asarray(centre + length * (shape @ np.array([(cos, -sin), (-sin, -cos)])))
 
@@ -392,7 +392,7 @@ def _edge(shape: str, size: float) -> NDArray[np.float64]:
 
 
 def _dashed(points: Points, spacing: float) -> NDArray[np.float64]:
-    """Ends of dashes ``(2 n, 2)`` along a closed line, in even steps of about ``spacing``."""
+    """Return the ends of dashes ``(2 n, 2)`` along a closed line, about ``spacing`` apart."""
     closed = np.concatenate([points, points[:1]])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
     wanted = np.linspace(0.0, along[-1], 2 * round(along[-1] / spacing / 2) + 1)[:-1]

@@ -113,7 +113,7 @@ class SceneRecorder:
         )
 
     def _plume(self) -> PlumeField:
-        """The plume at the end of the step that led to the present state, fading with age.
+        """Return the plume at the end of the last step, fading with age.
 
         Puffs cross the field faster than pictures follow each other, so an instant alone would
         flicker; what is drawn is the greatest of the recent fields, each faded over

@@ -143,7 +143,7 @@ class World(ABC):
         self.seed(np.arange(B))
 
     def _check_ranges(self) -> None:
-        """Refuse worlds whose observations, or their noise, would not fit into float32."""
+        """Refuse worlds whose observations or their noise do not fit into float32."""
         for one in self.observation_components:
             if not max(abs(one.low), abs(one.high)) <= LARGEST:
                 raise InputError(
@@ -158,7 +158,7 @@ class World(ABC):
             )
 
     def _shared_state(self) -> dict[str, Any]:
-        """What the kernels of every world are told, by the names of their states."""
+        """Return the fields that the state of every world's kernels has, by name."""
         species = self.scenario.species
         own = ("demo", "terminated", "truncated", "outcome", "step_count", "warming")
         return {
@@ -172,6 +172,7 @@ class World(ABC):
 
     @property
     def demos(self) -> Demonstrations | None:
+        """Demonstrations of the scenario, if it has any."""
         return self.scenario.demos
 
     def seed(self, seeds: ArrayLike) -> None:
@@ -265,7 +266,7 @@ class World(ABC):
         self.set_state(state)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Copies of all arrays that decide the future; with :meth:`set_state` it goes on alike."""
+        """Return copies of all arrays that decide the future, for :meth:`set_state`."""
         state = {name: getattr(self, name).copy() for name in self._state_names}
         state["history"] = self._history.copy()
         state["observation"] = self.observation.copy()

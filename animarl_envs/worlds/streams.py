@@ -23,7 +23,7 @@ _TO_UNIT = 1.0 / 9007199254740992.0  # 2^-53
 
 @nb.njit(inline="always")
 def mix(z):  # type: ignore[no-untyped-def]
-    """The output function of splitmix64."""
+    """Apply the output function of splitmix64."""
     z = (z ^ (z >> _S30)) * _MIX_1
     z = (z ^ (z >> _S27)) * _MIX_2
     return z ^ (z >> _S31)
@@ -31,26 +31,26 @@ def mix(z):  # type: ignore[no-untyped-def]
 
 @nb.njit(inline="always")
 def next_u64(state, b):  # type: ignore[no-untyped-def]
-    """The next 64 random bits of stream ``b``."""
+    """Return the next 64 random bits of stream ``b``."""
     state[b] += _GOLDEN
     return mix(state[b])
 
 
 @nb.njit(inline="always")
 def next_uniform(state, b):  # type: ignore[no-untyped-def]
-    """A uniform number in [0, 1)."""
+    """Return a uniform number in [0, 1)."""
     return np.float64(next_u64(state, b) >> _S11) * _TO_UNIT
 
 
 @nb.njit(inline="always")
 def next_below(state, b, n):  # type: ignore[no-untyped-def]
-    """A uniform integer in 0 .. n - 1."""
+    """Return a uniform integer in 0 .. n - 1."""
     return np.int64(next_uniform(state, b) * n)
 
 
 @nb.njit(inline="always")
 def next_normal(state, b):  # type: ignore[no-untyped-def]
-    """A standard normal number (Box and Muller 1958; the second of the pair is not kept)."""
+    """Return a standard normal number (Box and Muller 1958; the second of the pair is not kept)."""
     radius = math.sqrt(-2.0 * math.log(1.0 - next_uniform(state, b)))
     return radius * math.cos(2.0 * math.pi * next_uniform(state, b))
 

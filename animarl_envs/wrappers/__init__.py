@@ -65,7 +65,7 @@ def with_flag(space: Any) -> spaces.Box:
 
 
 class _Flag:
-    """Adds the flag of a condition; the same in all views."""
+    """Add the flag of a condition; the same in all views."""
 
     condition_flag = True
 
@@ -95,6 +95,7 @@ class ConditionFlag(_Flag, gym.ObservationWrapper[Any, Any, Any], RecordConstruc
         self.observation_space = with_flag(env.observation_space)
 
     def observation(self, observation: NDArray[np.float32]) -> Any:
+        """Return the observation with the flag."""
         return self._flag(observation)
 
 
@@ -108,10 +109,12 @@ class ConditionFlagVector(_Flag, VectorWrapper):
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset; observations get the flag."""
         observations, infos = self.env.reset(**arguments)
         return self._flag(observations, infos["condition"]), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step; observations get the flag, also the last ones of ended episodes."""
         observations, *rest, infos = self.env.step(actions)
         if "final_obs" in infos:
             for b in np.flatnonzero(infos["_final_obs"]):
@@ -131,19 +134,22 @@ class ConditionFlagParallel(_Flag, BaseParallelWrapper):  # type: ignore[type-ar
         }
 
     def observation_space(self, agent: str) -> spaces.Box:
+        """Return the individual's space with the flag."""
         return self.observation_spaces[agent]
 
     def reset(self, *arguments: Any, **named: Any) -> tuple[Any, Any]:
+        """Reset; observations get the flag."""
         observations, infos = self.env.reset(*arguments, **named)
         return {agent: self._flag(row) for agent, row in observations.items()}, infos
 
     def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:
+        """Step; observations get the flag."""
         observations, *rest = self.env.step(actions)
         return {agent: self._flag(row) for agent, row in observations.items()}, *rest  # type: ignore[return-value]
 
 
 class _DTW:
-    """Follows the world of a view and pays; the same in all views."""
+    """Follow the world of a view and pay the DTW reward; the same in all views."""
 
     view: type[Any]
 
@@ -207,6 +213,7 @@ class DTWReward(_DTW, gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._follow(env.unwrapped, alpha, penalty)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step and shape the reward; ``info`` gets its parts."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, self._shape(0, float(reward), info), terminated, truncated, info
 
@@ -226,6 +233,7 @@ class DTWRewardVector(_DTW, VectorWrapper):
         self._follow(env.unwrapped, alpha, penalty)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step and shape the rewards; ``infos`` get their parts."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         tracker = self._tracker
         stepped = ~self.env.unwrapped.reset_by_step  # type: ignore[attr-defined]
@@ -239,9 +247,9 @@ class DTWRewardVector(_DTW, VectorWrapper):
         return observations, shaped, terminated, truncated, infos
 
     def _note(self, infos: dict[str, Any], paid: Any, distance: Any, step: Any, whose: Any) -> None:
-        """Write down what was paid, and where each copy of ``whose`` stands."""
-        told = {"dtw_distance": distance[:, 0].copy(), "aligned_step": step[:, 0].copy()} | paid
-        infos |= told | {f"_{key}": whose.copy() for key in told}
+        """Write rewards' parts and the alignment of the copies ``whose`` to ``infos``."""
+        parts = {"dtw_distance": distance[:, 0].copy(), "aligned_step": step[:, 0].copy()} | paid
+        infos |= parts | {f"_{key}": whose.copy() for key in parts}
 
 
 class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]
@@ -259,7 +267,7 @@ class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, Any]:
-        """Start anew; ``infos`` have the names of a step, all 0."""
+        """Reset; ``infos`` have the names of a step, all 0."""
         observations, infos = self.env.reset(seed=seed, options=options)
         for info in infos.values():
             info |= dict.fromkeys(("task_reward", "dtw_penalty", "dtw_refund"), 0.0)
@@ -267,6 +275,7 @@ class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]
         return observations, infos
 
     def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:
+        """Step and shape the rewards; ``infos`` get their parts."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for f, (agent, reward) in enumerate(rewards.items()):
             rewards[agent] = self._shape(f, reward, infos[agent])

@@ -82,7 +82,7 @@ def recorded_bodies(
     steps: NDArray[np.int64],
     recorded: NDArray[np.float64] | None = None,
 ) -> Bodies:
-    """The bodies in recorded frames, a copy for each, as the world would have them.
+    """Return the bodies in recorded frames, one copy a frame, as the world computes them.
 
     ``position`` and ``velocity`` are ``(frames, K, 2)``, ``steps`` ``(frames,)`` count from the
     start of each episode, ``recorded`` ``(frames, K)`` are headings [rad].
@@ -102,8 +102,10 @@ def recorded_bodies(
 
 @part
 def turned(i, heading, turn, velocity_x, velocity_y, frame, bodies):  # type: ignore[no-untyped-def]
-    """Heading and turn of individual ``i`` after a step; ``frame`` is the recorded one it follows,
-    or ``NOT_RECORDED``."""
+    """Return heading and turn of individual ``i`` after a step.
+
+    ``frame`` is the recorded frame that it follows, or ``NOT_RECORDED``.
+    """
     if not bodies.turns[i]:
         if velocity_x == 0.0 and velocity_y == 0.0:
             return heading, 0.0
@@ -122,7 +124,7 @@ def turned(i, heading, turn, velocity_x, velocity_y, frame, bodies):  # type: ig
 
 @part
 def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies, headed):  # type: ignore[no-untyped-def]
-    """All bodies after a step; ``velocity`` ``(K, 2, B)`` is that of the step."""
+    """Turn all bodies after a step; ``velocity`` ``(K, 2, B)`` is that of the step."""
     if headed is None:
         return
     for i in range(bodies.heading.shape[0]):
@@ -143,7 +145,7 @@ def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies, head
 
 @jit
 def _follow_frames(velocity, steps, bodies):  # type: ignore[no-untyped-def]
-    """Recorded frames one after the other; those that begin an episode have their heading."""
+    """Turn the bodies frame by frame; frames that begin an episode keep their heading."""
     known = len(bodies.recorded) > 0
     for i in range(bodies.heading.shape[0]):
         for t in range(1, len(steps)):
@@ -161,7 +163,7 @@ def _follow_frames(velocity, steps, bodies):  # type: ignore[no-untyped-def]
 
 @part
 def face(bodies, headed):  # type: ignore[no-untyped-def]
-    """Unit vectors of the headings."""
+    """Set the unit vectors of the headings."""
     if headed is None:
         return
     for i in range(bodies.heading.shape[0]):

@@ -7,9 +7,9 @@ runs over all copies and has no branch, so that it compiles to vector instructio
 by index, not cut out as views, which would cost more than the row when there is one copy only.
 ``field`` is ``(shape code, size, boundary)``.
 
-Whom no learner drives follows a rule. A pursuer accelerates straight at the target (of several, at
-the nearest). A target looks ahead along each of its actions and takes the one that leaves it
-farthest from walls, and from pursuers who accelerate straight at where it is now.
+Individuals without a learner follow a scripted rule. A pursuer accelerates straight at the target
+(of several, at the nearest). A target looks ahead along each of its actions. It takes the one that
+leaves it farthest from walls, and from pursuers that accelerate straight at where it is now.
 """
 
 import math
@@ -31,15 +31,17 @@ from animarl_envs.worlds.streams import next_below, next_uniform
 
 SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
-WHOLE_DRAWS = 100  # of the first places of all, before those who touch are moved alone
+WHOLE_DRAWS = 100  # of the first places of all, before only those in contact are moved
 
 # -- starting --------------------------------------------------------------------------------------
 
 
 @jit
 def start(mask, state):  # type: ignore[no-untyped-def]
-    """First states: recorded, given, or uniform in a square without contact; at rest but for the
-    first. No step has led to them, so there is no acceleration."""
+    """Set first states: recorded, given, or uniform in a square without contact.
+
+    Only recorded ones have a velocity. No step has led to them, so acceleration is 0.
+    """
     position, velocity, demos, demo = state.position, state.velocity, state.demos, state.demo
     fixed, random, contact_radius = state.fixed, state.random, state.contact_radius
     K, _, B = position.shape
@@ -66,7 +68,7 @@ def start(mask, state):  # type: ignore[no-untyped-def]
         touching, draws = demo[b] < 0 and len(fixed) == 0, 0
         while touching:
             for i in range(K):
-                # Many are hardly ever all apart: in the end only those who touch are moved.
+                # Many are hardly ever all apart: after these draws only those in contact are moved.
                 if draws < WHOLE_DRAWS or (i < last and _touches(i, b, position, contact_radius)):
                     for x in range(2):
                         place = state.half_side * (2.0 * next_uniform(random, b) - 1.0)
@@ -79,7 +81,7 @@ def start(mask, state):  # type: ignore[no-untyped-def]
 
 @part
 def _touches(i, b, position, contact_radius):  # type: ignore[no-untyped-def]
-    """Whether individual ``i`` is in contact with the last one."""
+    """Return whether individual ``i`` is in contact with the last one."""
     last = position.shape[0] - 1
     dx = position[last, 0, b] - position[i, 0, b]
     dy = position[last, 1, b] - position[i, 1, b]
@@ -99,11 +101,11 @@ ChaseState = namedtuple(
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
 are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
-``driven``: somebody ignores the caller; ``sharing`` is the condition where condition 1 shares the
-reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and left;
-``traits`` are those of training animals, ``own_traits`` those of the recorded episodes. ``free``,
-``headed`` (headings are a state) and ``full`` (more is observed than the compact observation) are
-None where a species has no such thing, and what they ask for is then not compiled either.
+``driven``: some individual ignores the caller; ``sharing`` is the condition if condition 1 shares
+the reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and
+left; ``traits`` are those of training animals, ``own_traits`` those of the recorded episodes.
+``free``, ``headed`` (headings are a state) and ``full`` (more is observed than the compact
+observation) are None where a species has no such thing; what they need is then not compiled.
 """
 
 
@@ -121,13 +123,13 @@ structref.define_proxy(ChaseReference, _ChaseReferenceType, ChaseState._fields) 
 
 @jit
 def refer(parts):  # type: ignore[no-untyped-def]
-    """A reference to ``parts``, made by a kernel: what is made outside is not kept on disk."""
+    """Return a reference to ``parts``. Made in a kernel, since only then numba caches its users."""
     return ChaseReference(*parts)  # type: ignore[no-untyped-call]
 
 
 @jit
 def advance(asked, moving, state):  # type: ignore[no-untyped-def]
-    """All of a step in one call, or where not ``moving`` only look; ``asked`` is ``(B, K)``."""
+    """Advance one step in one call, or only observe if not ``moving``; ``asked`` is ``(B, K)``."""
     dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
     damping, thrust, pushes, drivers = state.damping, state.thrust, state.pushes, state.drivers
     actions, position, velocity = state.actions, state.position, state.velocity
@@ -172,7 +174,7 @@ def advance(asked, moving, state):  # type: ignore[no-untyped-def]
 def drive(  # type: ignore[no-untyped-def]
     drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field, lone
 ):
-    """Put the actions of those whom the caller does not drive into ``actions`` ``(K, B)``."""
+    """Write actions of the individuals that the caller does not drive, ``(K, B)``."""
     coast = pushes.shape[2] - 1
     for i in range(len(drivers)):
         if drivers[i] == COASTING or drivers[i] == REPLAY:
@@ -187,7 +189,7 @@ def drive(  # type: ignore[no-untyped-def]
 
 @part
 def move(actions, towards, damping, thrust, pushes, dt, position, velocity, before):  # type: ignore[no-untyped-def]
-    """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all; ``before`` gets the old v."""
+    """Move all by v' = (1 - d) v + u a dt, then p' = p + v' dt; ``before`` gets the old v."""
     K, _, B = position.shape
     for i in range(K):
         for b in range(B):
@@ -221,7 +223,7 @@ def accelerate(velocity, damping, thrust, dt, acceleration):  # type: ignore[no-
 def replay(  # type: ignore[no-untyped-def]
     drivers, warmup, demos, demo, step_count, senses, position, velocity, acceleration, warming
 ):
-    """Set what follows its demonstration: all during warm-up, the replaying ones always.
+    """Set recorded states: of all individuals during warm-up, of replaying ones always.
 
     When a replayed path ends before the episode does, that individual coasts. Recorded animals had
     the body of the senses' scales, in a changed world too.
@@ -269,7 +271,7 @@ def judge(  # type: ignore[no-untyped-def]
     position, sharing, field, walled, lone, contact_radius, dt, penalty, step_cost, nearest, code,
     components, reward,
 ):  # fmt: skip
-    """Contact, then boundary (where there are no walls), then rewards.
+    """Judge contact, then boundary (where there are no walls), then rewards.
 
     ``code`` ``(B,)`` int64 becomes the outcome; ``nearest`` is scratch, ``(B,)``. ``lone``: the
     last individual is no target but the pursuer of all others.
@@ -333,7 +335,7 @@ def judge(  # type: ignore[no-untyped-def]
 def judge_free(  # type: ignore[no-untyped-def]
     position, field, walled, shoaling, contact_radius, dt, penalty, code, components, reward
 ):
-    """Of animals that nobody pursues: leaving ends and costs, time near another may pay."""
+    """Judge free animals: leaving ends the episode and costs; time near another may pay."""
     K, _, B = position.shape
     shape, _, boundary = field
     for b in range(B):
@@ -364,7 +366,7 @@ WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
 
 @nb.njit(inline="always")
 def _reach(damping, thrust, dt, steps):  # type: ignore[no-untyped-def]
-    """How far velocity 1 carries in so many steps, and how far a unit action that is held.
+    """Return how far velocity 1 and a held unit action carry in so many steps.
 
     The sums of v' = (1 - d) v + u a dt and p' = p + v' dt.
     """

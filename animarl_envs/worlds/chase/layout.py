@@ -82,12 +82,12 @@ class Group(NamedTuple):
 
 
 def _directions(vector: str) -> tuple[str, ...]:
-    """A direction by its harmonics, as the kernel ``_observe_direction`` writes it."""
+    """Return names of a direction's harmonics, in the order of ``_observe_direction``."""
     return tuple(f"{vector} harmonic {k} {{cosine|sine}}" for k in HARMONICS)
 
 
 def _scaled(velocity: str, speed: str, sense: str = "") -> list[Group]:
-    """A velocity where small differences show: fine, coarse, and the logarithm of the speed."""
+    """Return the groups of a velocity on three scales: fine, coarse, logarithm of the speed."""
     return [
         Group(f"tanh of {velocity} / (u dt) {{ahead|left}}", EGO, "1", "fine", sense=sense),
         Group(f"tanh of {velocity} / (3 u dt) {{ahead|left}}", EGO, "1", "coarse", sense=sense),
@@ -128,6 +128,7 @@ class Seen(IntEnum):
     group: Group
 
     def __new__(cls, *group: Any) -> Seen:
+        """Make a member numbered in order, with its :class:`Group`."""
         member = int.__new__(cls, len(cls.__members__))
         member._value_, member.group = len(cls.__members__), Group(*group)
         return member
@@ -185,7 +186,7 @@ ABSENT = -1
 
 
 def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
-    """The groups of an observation in order: whose (0 itself, 1 the focus, ...), which, group."""
+    """Yield the groups of an observation in order: rank (0 itself, 1 the focus), key, group."""
     kind = species.observation
     senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
 
@@ -207,22 +208,24 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
 
 
 def past_scales(species: ChaseSpecies) -> int:
-    """How many averages of the past there are: of free animals velocities, then turn and speed,
-    then two at a time the delayed speeds."""
+    """Return the number of averages of the past.
+
+    Free animals have those of velocity, then turn and speed, then pairs of delayed speeds.
+    """
     if species.free:
         return 2 * len(MEMORY) + DELAYS // 2
     return len(PAST) if species.senses_steps and species.observation == FULL else 0
 
 
 def past_shares(species: ChaseSpecies) -> NDArray[np.float64]:
-    """The share of a step in each average, the last of free animals that in each delay."""
+    """Return the share of a step in each average; of free animals the last is of each delay."""
     if species.free:
         return np.array([share_of(seconds, species.dt) for seconds in (*MEMORY, DELAY)])
     return 1.0 / np.array(PAST)
 
 
 def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
-    """Where each group begins in an observation: ``(individuals, groups)``, ``ABSENT`` where not.
+    """Return the row where each group begins, ``(individuals, groups)``, or ``ABSENT``.
 
     The first row is of the individual itself and the arena, the following of the others in order.
     """

@@ -223,7 +223,7 @@ def _exchange(rank, others):  # type: ignore[no-untyped-def]
 
 @jit
 def _in_each_copy(i, first, count, order, neighbours):  # type: ignore[no-untyped-def]
-    """The many seen by ``i``, from rank ``first``; a cache line of copies at a time."""
+    """Sort the others of ``i`` from rank ``first`` on, a cache line of copies at a time."""
     others, state, distance = neighbours.others, neighbours.state, neighbours.distance
     for begin in range(0, others.shape[2], LINE):
         end = min(others.shape[2], begin + LINE)

@@ -71,7 +71,7 @@ class Senses(NamedTuple):
 
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
-    """The senses of a species; ``observers`` ``(K,)`` tells whose observations are made."""
+    """Return the senses of a species; ``observers`` ``(K,)`` marks whose observations are made."""
     arena, scales = species.arena, species.scales
     return Senses(
         first_rows(species),
@@ -102,8 +102,9 @@ def observe(  # type: ignore[no-untyped-def]
     position, velocity, acceleration, past, steps, towards, bodies, neighbours, senses, free,
     headed, full, observation,
 ):  # fmt: skip
-    """Focus directions of all and the observers' observations; ``neighbours`` is scratch, and of
-    ``bodies`` what is no state.
+    """Compute focus directions of all and the observers' observations.
+
+    ``neighbours`` is scratch, and so is of ``bodies`` what is not a state.
 
     ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust, ``past``
     ``(scales, K, 2, B)`` are mean velocities (module ``past``), none where they are not seen, and
@@ -132,7 +133,7 @@ def observe(  # type: ignore[no-untyped-def]
             _face(i, others, towards)
         else:
             faced = 0
-            _go_on(i, position, velocity, past, steps, senses, towards)
+            _update_course(i, position, velocity, past, steps, senses, towards)
             seen = look_around(i, neighbours) if observers[i] else 0
         if not observers[i]:
             continue
@@ -157,7 +158,7 @@ def observe(  # type: ignore[no-untyped-def]
 
 @part
 def _face(i, others, towards):  # type: ignore[no-untyped-def]
-    """The unit vector towards the focus, which is the first of the others."""
+    """Set the unit vector towards the focus, which is the first of the others."""
     for x in range(2):
         for b in range(others.shape[2]):
             apart = others[0, APART, b]
@@ -165,8 +166,8 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
 
 
 @part
-def _go_on(i, position, velocity, past, steps, senses, towards):  # type: ignore[no-untyped-def]
-    """Turn to the focus of a free animal: the mean velocity has the present one included."""
+def _update_course(i, position, velocity, past, steps, senses, towards):  # type: ignore[no-untyped-def]
+    """Set the focus direction of a free animal, by its mean velocity up to the present."""
     share = senses.shares[ON_COURSE]
     for b in range(velocity.shape[2]):
         mx, my = past[ON_COURSE, i, 0, b], past[ON_COURSE, i, 1, b]
@@ -177,7 +178,7 @@ def _go_on(i, position, velocity, past, steps, senses, towards):  # type: ignore
 
 @part
 def egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
-    """A vector ahead and to the left of individual ``i``, float32."""
+    """Return a vector as ahead and left of individual ``i``, float32."""
     ex = towards[i, 0, b]
     ey = towards[i, 1, b]
     return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)
@@ -210,7 +211,7 @@ def _put_plane(i, at, source, j, k, factor, observation):  # type: ignore[no-unt
 
 @part
 def _observe_others(i, seen, faced, others, towards, first, observation):  # type: ignore[no-untyped-def]
-    """The others, seen from individual ``i``; ``faced`` of them lie straight ahead."""
+    """Observe the others from individual ``i``; ``faced`` of them lie straight ahead."""
     B = others.shape[2]
     for rank in range(seen):
         who = rank + 1
@@ -227,7 +228,7 @@ def _observe_others(i, seen, faced, others, towards, first, observation):  # typ
 def _observe_more_of_others(  # type: ignore[no-untyped-def]
     i, seen, faced, position, velocity, others, towards, first, near, observation
 ):
-    """What the compact observation does not hold of the others."""
+    """Observe of the others what the compact observation leaves out."""
     B = others.shape[2]
     for rank in range(seen):
         who = rank + 1
@@ -253,7 +254,7 @@ def _observe_more_of_others(  # type: ignore[no-untyped-def]
 
 @part
 def _observe_direction_of(i, rank, others, towards, first, observation):  # type: ignore[no-untyped-def]
-    """The unit vector towards another who is not the focus; at the same place, the focus'."""
+    """Observe the unit vector towards another that is not the focus; at distance 0 the focus'."""
     circle, plane = first[rank + 1, Seen.BEARING_CIRCLE], first[rank + 1, Seen.DIRECTION]
     for b in range(others.shape[2]):
         apart = others[rank, APART, b]
@@ -270,7 +271,7 @@ def _observe_direction_of(i, rank, others, towards, first, observation):  # type
 
 @part
 def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
-    """The centre and the edge of the arena."""
+    """Observe the centre and the edge of the arena."""
     centre_at, edge_at = first[0, Seen.CENTRE_DISTANCE], first[0, Seen.EDGE]
     for b in range(position.shape[2]):
         x = position[i, 0, b]
@@ -288,7 +289,7 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
 
 @part
 def _observe_motion(i, velocity, acceleration, towards, first, factor, observation):  # type: ignore[no-untyped-def]
-    """Own velocity and acceleration; ``factor`` applies to velocities that have no scale."""
+    """Observe own velocity and acceleration; ``factor`` applies to velocities without a scale."""
     _put(i, first[0, Seen.VELOCITY], velocity, i, 0, factor, towards, observation)
     at = first[0, Seen.ACCELERATION]
     _put(i, at, acceleration, i, 0, 1.0, towards, observation)
@@ -303,7 +304,7 @@ def observe_own(  # type: ignore[no-untyped-def]
     i, position, velocity, acceleration, past, steps, towards, first, stride, factor, limit,
     bodies, observation,
 ):  # fmt: skip
-    """Own position, velocity on several scales, and what a species senses beside.
+    """Observe own position, velocity on several scales, and the species' further senses.
 
     ``factor`` applies to the velocities that have no scale.
     """
@@ -334,7 +335,7 @@ def observe_own(  # type: ignore[no-untyped-def]
 
 @part
 def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-untyped-def]
-    """Own velocity in the past; of free animals their turning and their speed, too."""
+    """Observe own velocity in the past, and of free animals their turning and speed."""
     if first[0, FINE_PAST] != ABSENT:
         for scale in range(past.shape[0]):
             at = FINE_PAST + 3 * scale
@@ -408,7 +409,7 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
 def observe_wall(  # type: ignore[no-untyped-def]
     i, position, velocity, towards, first, stride, scales, shape, edge, observation
 ):
-    """The nearest wall: how far, in which direction, and the own velocity towards and along it.
+    """Observe distance and direction of the nearest wall, and own velocity towards and along it.
 
     Animals that follow a wall keep a distance too small to see in the distance from the centre.
     From the middle of a disc it lies towards the focus.
@@ -467,7 +468,7 @@ def remember(velocity, steps, senses, free, past):  # type: ignore[no-untyped-de
 
 @part
 def _remember(i, at, to, velocity, steps, senses, past):  # type: ignore[no-untyped-def]
-    """The averages of a free animal in copy ``to``: those of ``at``, and its present motion."""
+    """Update a free animal's averages in copy ``to`` from those of ``at`` and its motion."""
     vx, vy = velocity[i, 0, at], velocity[i, 1, at]
     mx, my = past[ON_COURSE, i, 0, at], past[ON_COURSE, i, 1, at]
     nx = averaged(mx, vx, senses.shares[ON_COURSE], steps)
@@ -501,7 +502,7 @@ def first_past(
 def remembered(
     species: ChaseSpecies, velocity: NDArray[np.float64], steps: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Averages ``(scales, K, 2, frames)`` of recorded velocities ``(K, 2, frames)``.
+    """Return averages ``(scales, K, 2, frames)`` of recorded velocities ``(K, 2, frames)``.
 
     ``steps`` ``(frames,)`` count from the start of each episode.
     """

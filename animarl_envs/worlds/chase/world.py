@@ -149,7 +149,7 @@ class ChaseWorld(World):
         kernels.advance(np.zeros((0, 0), dtype=np.int64), False, self._reference)
 
     def _wake(self, mask: NDArray[np.bool_]) -> None:
-        """The first headings of new episodes."""
+        """Set the first headings of new episodes."""
         recorded = np.full((int(mask.sum()), self.num_individuals), np.nan)
         demo = self.demo[mask]
         if len(self._bodies.recorded):
@@ -164,7 +164,7 @@ class ChaseWorld(World):
         kernels.advance(actions, True, self._reference)
 
     def scene_details(self, copy: int) -> dict[str, Any]:
-        """The headings, where they are a state of their own."""
+        """Return the headings, where they are a state of their own."""
         return {"headings": self.heading[copy].copy()} if self._species.has_headings else {}
 
 
@@ -177,7 +177,7 @@ def observe(
     heading: NDArray[np.float64] | None = None,
     traits: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of given states.
+    """Return observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of states.
 
     The same kernel as in simulation, for recorded states ``(frames, K, 2)``; ``acceleration`` in
     multiples of the thrust, by default none, ``steps`` ``(frames,)`` since the start, by default 0

@@ -83,12 +83,13 @@ class FilamentModel:
     @classmethod
     @functools.cache
     def fitted(cls) -> FilamentModel:
-        """The constants shipped in ``plume.json``, written by ``tools.packaged_data.plume_fit``."""
+        """Return the model fitted by ``tools.packaged_data.plume_fit``, from ``plume.json``."""
         text = resources.files("animarl_envs.worlds.plume").joinpath("plume.json").read_text()
         return cls(**json.loads(text)["constants"])
 
     @property
     def num_puffs(self) -> int:
+        """Number of puffs in the sequence."""
         return round(self.period * self.puff_rate)
 
     @property
@@ -101,7 +102,7 @@ class FilamentModel:
 
     @functools.lru_cache(maxsize=16)  # noqa: B019
     def release(self, pattern: int) -> NDArray[np.float64]:
-        """The filaments of one pattern, ``(puffs, filaments, 6)``.
+        """Return the filaments of one pattern, ``(puffs, filaments, 6)``.
 
         They are s_j [s], U_j, v_j, w_j [m/s], y0_j, z0_j [m]. The same pattern number always gives
         the same filaments, one array that is not to be changed; the sequence joins up with itself
@@ -138,7 +139,7 @@ class FilamentModel:
         return out
 
     def kernel_constants(self) -> tuple[float, ...]:
-        """What :func:`paint` takes after the filaments."""
+        """Return the arguments of :func:`paint` after the filaments."""
         _, _, x0, y0 = self.grid
         oldest = self.extent / (SLOWEST * self.advection_speed) + LATEST
         return (

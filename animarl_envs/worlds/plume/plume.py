@@ -77,7 +77,7 @@ def stencil_of(radius: float, cell: float) -> NDArray[np.int64]:
 
 
 def over_steps(frames: Iterable[NDArray[np.bool_]], per_step: float) -> Iterator[NDArray[np.bool_]]:
-    """The union of the frames of each whole step; a frame longer than a step is repeated."""
+    """Yield the union of the frames of each whole step; a frame longer than a step is repeated."""
     union: NDArray[np.bool_] | None = None
     done = 0
     for count, frame in enumerate(frames, start=1):
@@ -112,7 +112,7 @@ class Plume(ABC):
 
     @abstractmethod
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
-        """The table of one pattern for steps of ``dt`` [s] and a sensing radius [m]."""
+        """Return the table of one pattern for steps of ``dt`` [s] and a sensing radius [m]."""
 
     @abstractmethod
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
@@ -127,7 +127,7 @@ class Plume(ABC):
         frame_rate: float,
         threshold: float | None = None,
     ) -> MoviePlume:
-        """A plume from a movie in memory.
+        """Make a plume from a movie in memory.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class Plume(ABC):
         frame_rate: float,
         threshold: float = 127.5,
     ) -> MoviePlume:
-        """A plume from a movie file, or an ``.npy`` array; read when it is first needed.
+        """Make a plume from a movie file or an ``.npy`` array, read when first needed.
 
         The parameters are those of :meth:`from_array`; colours are averaged.
         """
@@ -182,13 +182,13 @@ class Plume(ABC):
 
     @staticmethod
     def off() -> MoviePlume:
-        """No odour anywhere."""
+        """Make a plume without odour."""
         frames = np.zeros((1, 1, 1), dtype=bool)
         return MoviePlume(frames, None, 1.0, (0, 0), 1.0, 0.5)
 
     @staticmethod
     def continuous(half_width: float = 0.02, length: float = 0.5) -> MoviePlume:
-        """A steady ribbon of odour straight downwind of the source, for checks [m]."""
+        """Make a steady ribbon of odour straight downwind of the source, for checks [m]."""
         rows = 2 * round(half_width * 1000) + 1
         frames = np.ones((1, rows, round(length * 1000) + 1), dtype=bool)
         return MoviePlume(frames, None, 1.0, (rows // 2, 0), 1.0, 0.5)
@@ -203,9 +203,11 @@ class ModelPlume(Plume):
 
     @classmethod
     def fitted(cls) -> ModelPlume:
+        """Return the plume of the fitted filament model."""
         return cls(FilamentModel.fitted())
 
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+        """Return the table of one pattern, see :meth:`Plume.pattern_table`."""
         model = self.model
         rows, columns, x0, y0 = model.grid
         steps = max(1, round(model.period / dt))
@@ -219,6 +221,7 @@ class ModelPlume(Plume):
         )
 
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
+        """Return values and extent to draw, see :meth:`Plume.field`."""
         rows, columns, x0, y0 = self.model.grid
         half = 0.5 * self.model.cell
         concentration = self.model.concentration(pattern, time)
@@ -249,6 +252,7 @@ class MoviePlume(Plume):
             )
 
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+        """Return the table of one pattern, see :meth:`Plume.pattern_table`."""
         cell = self.mm_per_pixel * 1e-3
         stencil = stencil_of(antenna_radius, cell)
         margin = int(np.abs(stencil).max())  # the antenna may lie outside the picture
@@ -267,6 +271,7 @@ class MoviePlume(Plume):
         )  # fmt: skip
 
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
+        """Return values and extent to draw, see :meth:`Plume.field`."""
         table = hit_table(self, (0,), 1.0 / self.frame_rate, 0.0)
         step = int(time * self.frame_rate) % table.bits.shape[1]
         return table.unpack(0, step).astype(np.float32), table.extent
@@ -278,7 +283,7 @@ class MoviePlume(Plume):
 
 
 def as_plume(choice: Any) -> Plume:
-    """The plume of an option: ``"model"``, ``"off"``, ``"continuous"`` or a :class:`Plume`."""
+    """Return the plume of an option: ``"model"``, ``"off"``, ``"continuous"``, or itself."""
     if isinstance(choice, Plume):
         return choice
     named = {"model": ModelPlume.fitted, "off": Plume.off, "continuous": Plume.continuous}
@@ -299,7 +304,7 @@ def _cached_table(plume: Plume, pattern: int, dt: float, antenna_radius: float) 
 def hit_table(
     plume: Plume, patterns: tuple[int, ...], dt: float, antenna_radius: float
 ) -> HitTable:
-    """The tables of several patterns as one; built on first use and kept."""
+    """Return the tables of several patterns as one; built on first use and kept."""
     for pattern in patterns:
         if not 0 <= pattern < plume.num_patterns:
             raise InputError(
@@ -389,7 +394,7 @@ class OdourWeights(NamedTuple):
 
 @nb.njit(inline="always")
 def write_inputs(x, y, cosine, sine, left, right, since, out):  # type: ignore[no-untyped-def]
-    """The network's inputs: place [m], heading, hits of the step before, time since a hit [s]."""
+    """Write the network's inputs: place [m], heading, last hits, time since a hit [s]."""
     out[0] = min(5.0, max(-1.0, x / 0.1))
     out[1] = min(6.0, max(-6.0, y / 0.05))
     out[2] = min(5.0, math.sqrt(x * x + y * y) / 0.1)
@@ -444,6 +449,7 @@ class FittedOdour(Plume):
     num_patterns: int = 1
 
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+        """Return the table of one pattern, see :meth:`Plume.pattern_table`."""
         return HitTable(np.zeros((1, 1, 1), np.uint8), 1, 1, 0, 0, 1e-3)
 
     def chances(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -82,7 +82,7 @@ class Body(NamedTuple):
 
 
 def senses_of(species: SearchSpecies) -> Senses:
-    """The senses of a species."""
+    """Return the senses of a species."""
     angle, dt, turning = math.radians(species.antenna_angle), species.dt, species.turning
     own, scales = (0.0, 0.0, 1.0, 0.0, 1.0), species.scales
     if turning is not None:
@@ -144,7 +144,7 @@ def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-
 
 @part
 def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
-    """The body after a step: as ``recorded`` in ``frame``, by its own turning, or as it walks."""
+    """Turn the body: as ``recorded`` in ``frame``, by its own turning, or as it walks."""
     if not senses.turns:
         follow(b, velocity_x, velocity_y, senses.rest_speed, body)
     elif recorded and len(demo_heading) > 0:
@@ -155,7 +155,7 @@ def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, bod
 
 @part
 def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
-    """The body at the start of an episode: as recorded; else as it walks, upwind at rest."""
+    """Set the body at the start of an episode: as recorded, else as it walks, upwind at rest."""
     known = recorded and len(demo_heading) > 0
     if known:
         face(b, demo_heading[frame], body)
@@ -286,7 +286,7 @@ def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-unty
 
 @part
 def _sense_more(b, velocity_x, velocity_y, senses, body, out, column):  # type: ignore[no-untyped-def]
-    """The same things said so that a network can use them, and a longer memory of hits."""
+    """Sense the same quantities on scales that networks can use, and a longer memory of hits."""
     out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
     out[Seen.ODOUR_SUM, column] = body.odour[0, b] + body.odour[1, b]
     out[Seen.TRACE_LEFT, column] = body.trace[0, b]
@@ -333,13 +333,13 @@ structref.define_proxy(SearchReference, _SearchReferenceType, SearchState._field
 
 @jit
 def refer(parts):  # type: ignore[no-untyped-def]
-    """A reference to ``parts``, made by a kernel: what is made outside is not kept on disk."""
+    """Return a reference to ``parts``. Made in a kernel, since only then numba caches its users."""
     return SearchReference(*parts)  # type: ignore[no-untyped-call]
 
 
 @jit
 def start(mask, state):  # type: ignore[no-untyped-def]
-    """First states of new episodes: as recorded, or at rest where ``state.first`` says."""
+    """Set first states of new episodes: as recorded, or at rest where ``state.first`` says."""
     demos, recorded, senses, table = state.demos, state.recorded, state.senses, state.table
     position, velocity, body, random = state.position, state.velocity, state.body, state.random
     pattern, phase, sensed = state.pattern, state.phase, state.sensed

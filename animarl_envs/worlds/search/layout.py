@@ -33,6 +33,7 @@ class Seen(IntEnum):
     def __new__(
         cls, label: str, frame: str, unit: str, span: str, sign: float = 1.0, mirror: str = ""
     ) -> Seen:
+        """Make a member numbered in order, with its component."""
         member = int.__new__(cls, len(cls.__members__))
         member._value_ = len(cls.__members__)
         member.component = label, frame, unit, span, sign, mirror

@@ -92,7 +92,7 @@ class ProgrammedMoth:
         self.reset()
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """New moths where ``mask`` (copies,) is true (everywhere by default)."""
+        """Start new moths where ``mask`` (copies,) is true (everywhere by default)."""
         mask = np.ones(self.copies, dtype=bool) if mask is None else mask
         spread = self.programme.pace_spread * self.generator.standard_normal(self.copies)
         self._pace[mask] = np.exp(spread)[mask]
@@ -152,7 +152,7 @@ class ProgrammedMoth:
     def _nearest_action(
         self, velocity: NDArray[np.float64], wanted: NDArray[np.float64]
     ) -> NDArray[np.int64]:
-        """The action whose next velocity is nearest to the wanted one; both in the upwind frame."""
+        """Return the action whose next velocity is nearest the wanted one, in the upwind frame."""
         own = self.species.locomotion[0]
         reachable = next_velocity(
             velocity[:, None], own.action_vectors, own.damping, own.thrust, self.species.dt

@@ -131,7 +131,7 @@ class SearchWorld(World):
         return antennae_at(self.scenario.species, self.position[:, 0], self.heading)
 
     def scene_details(self, copy: int) -> dict[str, Any]:
-        """What a :class:`animarl_envs.drawing.scene.Scene` shows beside searcher and plume."""
+        """Return what a picture shows beside the searcher."""
         return {
             "antennae": self.antennae()[copy],
             "odour": (float(self.odour[copy, 0]), float(self.odour[copy, 1])),
