@@ -81,10 +81,12 @@ class SpeciesDemonstrations:
 
     @cached_property
     def train(self) -> OfflineDataset:
+        """Dataset of the training split."""
         return self._dataset("train")
 
     @cached_property
     def val(self) -> OfflineDataset:
+        """Dataset of the validation split."""
         return self._dataset("val")
 
     @cached_property

@@ -160,7 +160,7 @@ class SlotVecEnv(VecEnv):
     # -- stepping ---------------------------------------------------------------------------------
 
     def reset(self) -> NDArray[np.float32]:
-        """New episodes in all copies; observations ``(slots, n)``.
+        """Start new episodes in all copies; return observations ``(slots, n)``.
 
         The first seed is drawn anew where none was given. ``set_options({"demo": i})`` before it
         chooses the demonstration, as in other views.
@@ -182,11 +182,13 @@ class SlotVecEnv(VecEnv):
         return self._observation()
 
     def step_async(self, actions: NDArray[np.integer]) -> None:
+        """Check the actions ``(slots,)`` of the next step and keep them."""
         self._pending = check_actions(actions, (self.num_envs,), self.world.num_actions)
 
     def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Take the step; copies whose episode ended begin a new one."""
         assert self._pending is not None
         world, K = self.world, len(self.individuals)
         self._all_actions[:, self._learners] = self._pending.reshape(self.num_copies, K)
@@ -257,7 +259,7 @@ class SlotVecEnv(VecEnv):
         return names if self._tracker is None else (*names, *dtw)
 
     def offline_data(self) -> SpeciesDemonstrations:
-        """The train and val splits of the demonstrations, for the offline phase."""
+        """Return the train and val splits of the demonstrations, for the offline phase."""
         if self.demos is None:
             raise InputError("the environment has no demonstrations: give demos=")
         if self._offline_data is None:  # its splits are made when first looked at
@@ -283,20 +285,24 @@ class SlotVecEnv(VecEnv):
         """Do nothing: there is nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return the attribute once per slot."""
         value = getattr(self, attr_name)
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: slots share one world."""
         raise InputError("slots share one world: make a new SlotVecEnv with other options")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
+        """Refuse: slots share one world."""
         raise InputError("slots share one world and have no methods of their own")
 
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
+        """Return per slot whether it has such a wrapper."""
         if issubclass(wrapper_class, Monitor) and len(self.individuals) > 1:
             # stable-baselines3's evaluation is the only caller that asks for a Monitor.
             warnings.warn(
@@ -351,10 +357,12 @@ class SlotLayout:
 
     @property
     def num_individuals(self) -> int:
+        """Number of individuals of a copy, K."""
         return len(self.individuals)
 
     @classmethod
     def of(cls, env: VecEnv) -> SlotLayout:
+        """Return the layout that an environment declares, or that of a single agent."""
         scaled = unwrap_vec_normalize(env)
         if scaled is not None and scaled.norm_obs:
             raise InputError(
@@ -461,7 +469,7 @@ def _described(layout: SlotLayout) -> str:
 
 
 def declared(env: Any, name: str) -> Any:
-    """An attribute of an environment, of a VecEnv or of its environments, None if none has it."""
+    """Return an attribute of an environment, a VecEnv or its environments; None if none has it."""
     if isinstance(env, gym.Env):
         return env.get_wrapper_attr(name) if env.has_wrapper_attr(name) else None
     if not isinstance(env, VecEnv) or hasattr(env, name):

@@ -149,6 +149,7 @@ class TemporalDifference(LossTerm):
     needs_target: ClassVar[bool] = True
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        """Return the loss of each individual, ``(K,)``."""
         batch, rewards = minibatch.batch, minibatch.batch.rewards
         if self.shaped:
             rewards = rewards - minibatch.phase.alpha * batch.penalties
@@ -184,6 +185,7 @@ class ScoredActionsTemporalDifference(LossTerm):
     needs_target: ClassVar[bool] = True
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        """Return the loss of each individual, ``(K,)``."""
         batch, valid = minibatch.batch, minibatch.valid
         assert batch.action_penalties is not None
         penalty = minibatch.phase.alpha * batch.action_penalties
@@ -225,9 +227,11 @@ class ActionSupervision(LossTerm):
     name: ClassVar[str] = "supervision"
 
     def weight(self, phase: Phase) -> float:
+        """Return lambda3, or 1 where the term is not weighted."""
         return phase.lambda3 if self.weighted else 1.0
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        """Return the loss of each individual, ``(K,)``."""
         batch, logits, valid = minibatch.batch, minibatch.q_values, minibatch.valid
         if self.soft and batch.label_shares is not None:
             shares = batch.label_shares  # steps with zeros alone are left out
@@ -249,6 +253,7 @@ class TreatmentAdversary(LossTerm):
     weighed_by: ClassVar[str | None] = "lambda2"
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        """Return the loss of each individual, ``(K,)``."""
         logits, batch = minibatch.treatment_logits, minibatch.batch
         assert logits is not None
         condition = batch.condition.unsqueeze(1).expand_as(logits).to(logits.dtype)
@@ -269,6 +274,7 @@ class WeightDecay(LossTerm):
 
     @torch.no_grad()
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        """Return the loss of each individual, ``(K,)``."""
         weights = torch.cat([p.flatten(1) for p in minibatch.parameters], dim=1)
         return weights.square().sum(1)
 
@@ -295,6 +301,7 @@ class InverseSoftQ(LossTerm):
     name: ClassVar[str] = "iq"
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        """Return the loss of each individual, ``(K,)``."""
         shown = minibatch.demonstrated
         assert shown is not None
         end_value = masked_mean(shown.q_values.logsumexp(-1), shown.valid).detach()

@@ -23,7 +23,9 @@ from animarl_envs.compiling import jit
 
 
 def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Quantile Huber loss with threshold 1, per step (Dabney et al. 2018, equations 9 and 10)::
+    """Return the quantile Huber loss with threshold 1, per step.
+
+    Dabney et al. 2018, equations 9 and 10::
 
         sum over i, mean over j of |tau_i - 1(delta_ij < 0)| huber(delta_ij)
         delta_ij = target_j - current_i,  tau_i = (i + 1/2) / quantiles

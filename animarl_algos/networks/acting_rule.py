@@ -73,7 +73,7 @@ class Acting:
     def boltzmann(
         cls, temperature: ArrayLike, *, thrust: float = 1.0, direction: float = 1.0
     ) -> Acting:
-        """Sampling at a temperature, or at one per individual."""
+        """Return the rule that samples at a temperature, or at one per individual."""
         return cls(Kind.BOLTZMANN, temperature, thrust=thrust, direction=direction)  # type: ignore[arg-type]
 
     @classmethod
@@ -140,7 +140,7 @@ class Acting:
         return (self.thrust, self.direction) != (1.0, 1.0)
 
     def checked(self, individuals: int, actions: int) -> Acting:
-        """The rule itself, if so many individuals with so many actions can act by it."""
+        """Return the rule itself if so many individuals with so many actions can act by it."""
         if len(self.temperature) not in (1, individuals):
             raise InputError(
                 f"temperature has {len(self.temperature)} numbers for {individuals} individuals: "
@@ -156,7 +156,7 @@ class Acting:
     def choose(
         self, q_values: NDArray[np.floating], draw: NDArray[np.float64], individuals: int
     ) -> NDArray[np.int64]:
-        """An action (S,) for every slot; of equal values the lowest is the greedy one.
+        """Choose an action (S,) for every slot; of equal values the lowest is the greedy one.
 
         Slot s of ``q_values`` (S, actions) is individual ``s % individuals``; ``draw`` (S,) are
         uniform numbers in [0, 1), one for each slot.

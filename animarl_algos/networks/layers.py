@@ -50,7 +50,7 @@ class Packing:
     def from_lengths(
         cls, lengths: NDArray[Any], time: int, device: torch.device | str = "cpu"
     ) -> Packing:
-        """The rows needed by sequences of the given lengths, (batch,) or (individuals, batch)."""
+        """Return the rows that sequences of these lengths fill; lengths (batch,) or (K, batch)."""
         lengths = np.atleast_2d(np.asarray(lengths, dtype=np.int64))
         # A row is computed while it or a later one still runs: running maximum from the right.
         reach = np.maximum.accumulate(lengths.max(axis=0)[::-1])[::-1]
@@ -64,6 +64,7 @@ class Packing:
 
     @cached_property
     def is_full(self) -> bool:
+        """Whether no row is padding."""
         return int(self.offsets[-1]) == self.time * self.batch
 
     @cached_property

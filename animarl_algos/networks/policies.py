@@ -134,7 +134,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         )
 
     def make_q_net(self) -> StackedQNetwork:
-        """A network as the constructor's arguments describe it, freshly initialised."""
+        """Return a freshly initialised network of the constructor's arguments."""
         network = {k: v for k, v in self._arguments.items() if k not in OF_TRAINING}
         return StackedQNetwork(
             network.pop("individuals"),
@@ -194,7 +194,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         return (actions[0] if single else actions), (hidden, actions.copy())
 
     def remember(self, state: State, executed: NDArray[np.integer]) -> State:
-        """The ``state`` after a step that executed other actions (S,) than the returned ones."""
+        """Return the ``state`` after a step that executed actions (S,) other than the chosen ones."""
         return state[0], executed.astype(np.int64)
 
     def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
@@ -384,7 +384,7 @@ def rectify(x):  # type: ignore[no-untyped-def]
 
 @nb.njit(inline="always")
 def head_units(features, flag, flagged, weight, bias, head):  # type: ignore[no-untyped-def]
-    """The dueling head's hidden layer for one row; the treatment flag is its last input."""
+    """Compute the dueling head's hidden layer for one row; the treatment flag is its last input."""
     affine(head, features, weight, bias)
     if flagged:
         for j in range(len(head)):

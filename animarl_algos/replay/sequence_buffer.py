@@ -202,7 +202,7 @@ class SequenceReplayBuffer:
         return self.next_serial - self.oldest_serial
 
     def size(self) -> int:
-        """Steps of the world in the ring, under stable-baselines3's name for it."""
+        """Return the steps of the world in the ring, under stable-baselines3's name for it."""
         return self.num_steps
 
     @property

@@ -119,6 +119,7 @@ class SequenceBatch:
 
     @property
     def num_individuals(self) -> int:
+        """Number of individuals, K."""
         return self.actions.shape[0]
 
     @property
@@ -128,6 +129,7 @@ class SequenceBatch:
 
     @property
     def batch_size(self) -> int:
+        """Number of sequences, B."""
         return self.actions.shape[2]
 
     def to(self, device: torch.device | str) -> SequenceBatch:

@@ -26,7 +26,7 @@ def set_leaf(trees, k, leaf, value):  # type: ignore[no-untyped-def]
 
 @nb.njit(inline="always")
 def find_leaf(trees, k, mass):  # type: ignore[no-untyped-def]
-    """The leaf of tree ``k`` in whose share of the cumulative priority ``mass`` lies.
+    """Return the leaf of tree ``k`` in whose share of the cumulative priority ``mass`` lies.
 
     A branch without priority is never entered, whatever the rounding of ``mass``.
     """

@@ -53,6 +53,7 @@ class Parser(argparse.ArgumentParser):
     """rl_zoo3's options and ``--preset``; refuses what would end in a traceback of rl_zoo3."""
 
     def parse_args(self, *args: Any, **kwargs: Any) -> argparse.Namespace:  # type: ignore[override]
+        """Parse arguments as rl_zoo3 does, without evaluating any."""
         self.description, self.formatter_class = NOTE, argparse.RawDescriptionHelpFormatter
         settings = "Settings of zoo_configs/<algo>.yml"
         self.add_argument("--preset", choices=PRESETS, default="default", help=settings)
@@ -85,6 +86,7 @@ class StoreData(argparse.Action):
     """``KEY:VALUE ...`` as a dictionary; values are YAML data (rl_zoo3 evaluates them)."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
+        """Store pairs ``key:value`` as a dictionary of plain data."""
         setattr(namespace, self.dest, parse_settings(values, option_string, ":"))
 
 

@@ -320,9 +320,11 @@ class Scored(VecEnvWrapper):
     venv: SlotVecEnv
 
     def reset(self) -> VecEnvObs:
+        """Reset, and begin new episode scores."""
         return self.venv.reset()
 
     def step_wait(self) -> VecEnvStepReturn:
+        """Step, and write scores of ended episodes to ``infos``."""
         observations, rewards, dones, infos = self.venv.step_wait()
         if "dtw_penalty" in self.venv.extras:
             rewards = rewards - self.venv.extras["dtw_refund"] - self.venv.extras["dtw_penalty"]

@@ -97,6 +97,7 @@ class Demonstrations(Episodes):
 
     @property
     def label(self) -> str:
+        """Name of the set."""
         return self.name
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Demonstrations:
@@ -112,10 +113,12 @@ class Demonstrations(Episodes):
 
     @property
     def num_episodes(self) -> int:
+        """Number of episodes."""
         return len(self.lengths)
 
     @property
     def synthetic(self) -> bool:
+        """Whether the tracks were simulated."""
         return bool(self.provenance["synthetic"])
 
     def __repr__(self) -> str:
@@ -153,7 +156,7 @@ class Demonstrations(Episodes):
         return np.full(len(self.positions[frames]), self.dt)
 
     def steps(self) -> NDArray[np.int64]:
-        """Steps from the start of its episode to each frame, ``(frames,)``."""
+        """Return the steps since the start of its episode of each frame, ``(frames,)``."""
         return np.arange(len(self.positions)) - np.repeat(self.offsets[:-1], self.lengths)
 
     def velocities(self) -> NDArray[np.float64]:
@@ -165,7 +168,7 @@ class Demonstrations(Episodes):
         return out
 
     def focus(self) -> NDArray[np.float64]:
-        """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
+        """Return unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
         velocities, steps = self.velocities(), self.steps()
         rule = self.focus_rule
         return focus_directions(self.positions, self.roles, velocities, steps, self.dt, rule)
@@ -180,7 +183,7 @@ class Demonstrations(Episodes):
         return replace(self, provenance={**self.provenance, "focus": rule})
 
     def headings(self) -> NDArray[np.float64] | None:
-        """Recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].
+        """Return recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].
 
         ``None`` where the signal ``heading`` is absent or has not a column for each individual.
         """
@@ -200,7 +203,7 @@ class Demonstrations(Episodes):
         return np.stack(sides, axis=-1).astype(np.float64) >= HIT_SHARE
 
     def resolution(self) -> Resolution | None:
-        """The grid on which all positions lie, such as pixels; ``None`` where there is none."""
+        """Return the grid on which all positions lie, such as pixels; None where there is none."""
         return find_resolution(self.positions)
 
     # -- selection --------------------------------------------------------------------------------
@@ -280,6 +283,7 @@ class Demonstrations(Episodes):
     def from_stored(
         cls, path: Path, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
     ) -> dict[str, Any]:
+        """Return the constructor's arguments from a file's metadata and arrays."""
         arena = dict(meta["arena"])
         known = {name: arrays[name] for name in ("positions", *cls.EACH)}
         return {

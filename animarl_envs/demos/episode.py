@@ -154,6 +154,7 @@ class Episodes(ABC):
 
     @property
     def num_individuals(self) -> int:
+        """Number of individuals, K."""
         return len(self.individuals)
 
     @property
@@ -258,6 +259,7 @@ class Episodes(ABC):
     def from_stored(
         cls, path: Path, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
     ) -> dict[str, Any]:
+        """Return the constructor's arguments from a file's metadata and arrays."""
         return meta | arrays
 
 
@@ -328,7 +330,7 @@ def rounded(positions: Floats, resolution: Resolution | None) -> Floats:
 
 
 def find_resolution(positions: Floats) -> Resolution | None:
-    """The coarsest grid on which all positions ``(..., 2)`` lie, if there is one on both axes.
+    """Return the coarsest grid on which all positions ``(..., 2)`` lie, if both axes have one.
 
     Else single precision, if all are such numbers, or None.
     """
@@ -355,7 +357,7 @@ def _axis(coordinates: Floats) -> tuple[float, float] | None:
 
 
 def _common_step(distinct: Floats, finest: float, rounding: float) -> float | None:
-    """The largest step that fits all distances, by Euclid's algorithm.
+    """Return the largest step that fits all distances, by Euclid's algorithm.
 
     A step that does not fit leaves remainders, of which the least is the next trial.
     """

@@ -84,7 +84,7 @@ def _refuse_unlike(first: Demonstrations, part: Demonstrations) -> None:
 
 
 def _recording_names(parts: Sequence[Demonstrations]) -> list[Mapping[str, str]]:
-    """New names of the recordings of each set, where several sets have one of that name."""
+    """Return new names of recordings of which several sets have one."""
     sets = Counter(name for part in parts for name in np.unique(part.recording).tolist())
     stems = [Path(part.name).stem for part in parts]
     if len(set(stems)) < len(stems):
@@ -96,7 +96,7 @@ def _recording_names(parts: Sequence[Demonstrations]) -> list[Mapping[str, str]]
 
 
 def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrations:
-    """The recordings of the first ``count`` individuals of a role and of all others.
+    """Return the recordings of the first ``count`` individuals of a role and of all others.
 
     ``option``, of :data:`COUNTS`, names the role. An episode that ended by the contact of one who
     is left out is unfinished. Raises InputError if fewer were recorded.

@@ -12,7 +12,7 @@ FOLDER = Path(__file__).parent / "data"
 
 @cache
 def load_packaged(name: str) -> Demonstrations:
-    """The packaged demonstrations of a species, by its name or id.
+    """Return the packaged demonstrations of a species, by its name or id.
 
     Raises
     ------
@@ -33,5 +33,5 @@ def packaged_names() -> tuple[str, ...]:
 
 
 def packaged_team(name: str) -> Path:
-    """The weights of the networks that made the packaged chases of a condition of the agents."""
+    """Return the weights of the networks that made the packaged chases of a condition."""
     return FOLDER / "teams" / f"{name}.npz"

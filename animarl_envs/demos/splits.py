@@ -46,7 +46,7 @@ class Splitting:
 
 
 def deal(demos: Demonstrations, settings: Splitting) -> Demonstrations:
-    """The same episodes, dealt anew to train, val and test."""
+    """Return the same episodes, dealt anew to train, val and test."""
     return replace(demos, split=split_recordings(demos.recording, settings))
 
 
@@ -85,7 +85,7 @@ def refuse_empty_splits(demos: Demonstrations) -> None:
 
 
 def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
-    """The demonstrations once per fold: each episode is test once, val once, and else train.
+    """Yield the demonstrations once per fold: each episode is test once, val once, else train.
 
     Episodes of a recording stay together, unless there are fewer than three recordings. Whatever
     the split was before is not asked. Raises InputError if there are fewer than three folds, or
@@ -109,7 +109,7 @@ def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstration
 
 
 def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArray[np.str_]:
-    """The split of each episode, from the recording it belongs to."""
+    """Return the split of each episode, from the recording it belongs to."""
     by = settings.by
     if by == "auto":
         by = "recording" if len(np.unique(recording)) >= FEWEST_RECORDINGS else "episode"

@@ -25,7 +25,7 @@ TRACKING = (
 
 
 def outcome_name(outcome: int, demos: Episodes) -> str:
-    """An outcome code in words."""
+    """Return an outcome code in words."""
     if outcome > 0:
         name, role = demos.individuals[outcome - 1], demos.roles[outcome - 1]
         reached = {"searcher": f"{name} reached the source", "target": f"contact with {name}"}

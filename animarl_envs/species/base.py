@@ -138,6 +138,7 @@ class Species(ABC):
 
     @property
     def num_individuals(self) -> int:
+        """Number of individuals, K."""
         return len(self.individuals)
 
     @property
@@ -197,7 +198,7 @@ def checked_bodies(given: Any) -> tuple[str, ...]:
 
 
 def body_of_each(bodies: tuple[str, ...], roles: tuple[str, ...]) -> tuple[str, ...]:
-    """The body of each individual: the last name is the target's, the first everybody else's."""
+    """Return the body of each individual: the target's is the last name, all others' the first."""
     return tuple(bodies[-1] if role == "target" else bodies[0] for role in roles)
 
 

@@ -98,6 +98,7 @@ class ChaseSpecies(Species):
 
     @property
     def roles(self) -> tuple[str, ...]:
+        """Role of each individual, pursuer or target; free animals are all pursuers."""
         if self.free:
             return ("pursuer",) * self.num_individuals
         many, one = ("target", "pursuer") if self.lone_pursuer else ("pursuer", "target")
@@ -110,8 +111,10 @@ class ChaseSpecies(Species):
 
     @property
     def num_pursuers(self) -> int:
+        """Number of pursuers."""
         return self.roles.count("pursuer")
 
     @property
     def goal(self) -> str:
+        """What pursuers try to reach, in words."""
         return "a target" if self.lone_pursuer else super().goal

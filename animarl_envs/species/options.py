@@ -16,7 +16,7 @@ COUNTS = ("num_pursuers", "num_targets")
 
 
 def with_options(species: Species, **options: Any) -> Species:
-    """The species with options applied, each checked and refused by name.
+    """Return the species with options applied, each checked and refused by name.
 
     ``num_pursuers`` sets the number of pursuers of a chase, renamed ``<kind>_0, <kind>_1, ...``,
     and ``num_targets`` that of the targets of one pursuer, who comes last. ``arena`` is an

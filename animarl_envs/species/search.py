@@ -84,8 +84,10 @@ class SearchSpecies(Species):
 
     @property
     def roles(self) -> tuple[str, ...]:
+        """Role of each individual: all are searchers."""
         return ("searcher",) * self.num_individuals
 
     @property
     def goal(self) -> str:
+        """What searchers try to reach, in words."""
         return "the source"

@@ -25,8 +25,10 @@ LEVEL = 0.01  # of the test that they differ
 
 @dataclass(frozen=True, eq=False)
 class Traits:
-    """Traits of training animals: ``centre`` ``(2, K, 2)`` per condition, ``scale`` ``(K, 2)`` and
-    the ``table`` ``(n, K, 2)`` of their scores, of K individuals [arena unit / s; rad / s].
+    """Traits of training animals, of K individuals [arena unit / s; rad / s].
+
+    ``centre`` ``(2, K, 2)`` is per condition, ``scale`` is ``(K, 2)``, and ``table``
+    ``(n, K, 2)`` holds their scores.
 
     The score of a trait in which animals do not differ is 0; its scale is infinite.
     """

@@ -54,7 +54,7 @@ class Turning:
         heading: NDArray[np.float64],
         velocity: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """The turn of a step [rad], ``(...)``.
+        """Return the turn of a step [rad], ``(...)``.
 
         ``turn`` and ``heading`` ``(...)`` are those before the step [rad], ``velocity``
         ``(..., 2)`` is that of the step [arena unit / s].
