@@ -363,7 +363,7 @@ class StackedQNetwork(nn.Module):
         return tuple([buffer[:, 0].numpy() for buffer in buffers])
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
-        """Return the dueling head's inputs: features, flag and, without a hidden layer, both multiplied."""
+        """Return the dueling head's inputs: features, flag and, if gated, flag times features."""
         if not self.flag_in_head:
             return features
         flag = observations[..., self.sensed :]

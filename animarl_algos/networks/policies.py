@@ -194,7 +194,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         return (actions[0] if single else actions), (hidden, actions.copy())
 
     def remember(self, state: State, executed: NDArray[np.integer]) -> State:
-        """Return the ``state`` after a step that executed actions (S,) other than the chosen ones."""
+        """Return the ``state`` after a step that executed actions (S,) of another's choice."""
         return state[0], executed.astype(np.int64)
 
     def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
