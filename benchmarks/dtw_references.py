@@ -108,7 +108,9 @@ def main(
     )
     tables.append(measure(still, chosen))
     metrics = pd.concat(tables, ignore_index=True)
-    compared = comparison_table(metrics, chosen.num_episodes, np.random.default_rng(seed))
+    compared = comparison_table(
+        metrics, np.arange(chosen.num_episodes), np.random.default_rng(seed)
+    )
     table = Table(title=f"{demos.name}, {split}: {chosen.num_episodes} starts")
     for heading in ("behaviour", "DTW distance", "per step", "duration, s"):
         table.add_column(heading, justify="left" if heading == "behaviour" else "right")

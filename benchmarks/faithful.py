@@ -48,9 +48,9 @@ from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.order_in_time import ORDER
+from animarl_algos.evaluation.metrics import ORDER
 from animarl_algos.evaluation.statistics import UNDEFINED
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
+from animarl_algos.evaluation.verdict_rows import DIFFERS, UNKNOWN
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
@@ -82,15 +82,15 @@ ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main(
 class Bar:
     """What must hold of one row of the verdict, or of the floor or the time that it took.
 
-    ``kind``: ``"alike"`` (inside its null or within a tenth), ``"p"`` (above the limit), ``"auc"``
-    (at most the limit), ``"floor"`` (an area at most so much above closed-loop tracking),
-    ``"tracking"`` (the area of this tracking at most the limit, or near that of recordings among
-    themselves), ``"difference"`` and ``"relative"`` (of the means, at most the limit),
-    ``"seconds"`` (of processor time, at most the limit).
+    ``kind``: ``"alike"`` (alike, or differs a little), ``"auc"`` (at most the limit), ``"floor"``
+    (an area at most so much above closed-loop tracking), ``"tracking"`` (the area of this tracking
+    at most the limit, or near that of recordings among themselves), ``"difference"`` and
+    ``"relative"`` (of the means, at most the limit), ``"seconds"`` (of processor time, at most the
+    limit).
     """
 
     measure: str
-    kind: Literal["alike", "p", "auc", "floor", "tracking", "seconds", "difference", "relative"]
+    kind: Literal["alike", "auc", "floor", "tracking", "seconds", "difference", "relative"]
     limit: float = math.nan
 
     def row(self, found: Verdict, seconds: float) -> dict[str, Any] | None:
@@ -109,9 +109,9 @@ class Bar:
     def met(self, found: Verdict, row: Mapping[str, Any]) -> bool | None:
         """Whether it holds; None where that cannot be said."""
         floor = found.areas[AUC].get("floor", UNDEFINED).estimate
+        if self.kind == "alike":
+            return None if row["judgement"] == UNKNOWN else row["judgement"] != DIFFERS
         value, limit = {
-            "alike": (0.0 if row["judgement"] in (SAME, BY_LITTLE) else 1.0, 0.5),
-            "p": (-row["p"], -self.limit),
             "auc": (row["simulated"], self.limit),
             "floor": (row["simulated"], floor + self.limit),
             "tracking": (row["simulated"], self.either(row)),
@@ -128,8 +128,7 @@ class Bar:
     def words(self, found: Verdict) -> str:
         floor = found.areas[AUC].get("floor", UNDEFINED).estimate
         return {
-            "alike": "inside its null or within 10 %",
-            "p": f"p > {self.limit:g}",
+            "alike": "alike, or differs a little",
             "auc": f"at most {self.limit:g}",
             "floor": f"at most {self.limit:g} above the floor, {floor:.3g}",
             "tracking": f"at most {self.limit:g}, or within {NEAR:g} of recordings",
@@ -141,8 +140,9 @@ class Bar:
 
 DISTRIBUTIONS = (Bar("duration", "alike"), Bar("path_length", "alike"))
 TIME = Bar("seconds", "seconds", 240.0)  # of 500 episodes
-AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), TIME)
-STRANGERS = (Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), Bar(SEQUENCE, "auc", 0.65))
+ENDINGS = tuple(Bar(key, "alike") for key in ("reached", "target_out", "pursuer_out"))
+AGENTS = (*DISTRIBUTIONS, *ENDINGS, Bar("auc", "auc", 0.65), TIME)
+STRANGERS = (*ENDINGS, Bar("auc", "auc", 0.65), Bar(SEQUENCE, "auc", 0.65))
 FILMED = (Bar("slow_steps", "difference", 0.05), Bar(SEQUENCE, "auc", 0.65))
 MOTHS = (
     Bar("reached", "difference", 0.10), *DISTRIBUTIONS, Bar("median_speed", "relative", 0.10),
@@ -407,8 +407,18 @@ def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[di
     for bar in one.bars:
         if (row := bar.row(found, seconds)) is not None:
             met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found, row)]
-            keys = ("label", "recorded", "simulated", "low", "high", "distance", "null", "p",
-                    "verdict")  # fmt: skip
+            keys = (
+                "label",
+                "recorded",
+                "simulated",
+                "value",
+                "low",
+                "high",
+                "tolerance",
+                "judgement",
+                "colour",
+                "verdict",
+            )
             rows.append({k: row[k] for k in keys} | {"bar": bar.words(found), "met?": met})
     return rows
 
@@ -466,7 +476,8 @@ def main(
                 "set": one.label,
                 "group": one.group,
                 "seed": s,
-                "overall": found.overall,
+                "headline": found.headline,
+                "page": found.colour,
                 **done,
             }
             took = done["seconds"] if whole else math.nan
@@ -516,8 +527,21 @@ def write(table: pd.DataFrame, out: Path, split: str) -> None:
 
 def markdown(table: pd.DataFrame) -> str:
     """One table a group of sets, one line per bar."""
-    columns = ("set", "seed", "label", "recorded", "simulated", "distance", "null", "verdict",
-               "bar", "met?")  # fmt: skip
+    columns = (
+        "set",
+        "seed",
+        "page",
+        "label",
+        "recorded",
+        "simulated",
+        "value",
+        "low",
+        "high",
+        "tolerance",
+        "verdict",
+        "bar",
+        "met?",
+    )
 
     def text(value: Any) -> str:
         if isinstance(value, float):
@@ -530,7 +554,7 @@ def markdown(table: pd.DataFrame) -> str:
         if rows:
             lines += ["", f"## Sets: {group}", "", "| " + " | ".join(columns) + " |"]
             lines += ["|" + "---|" * len(columns)]
-        lines += ["| " + " | ".join(text(row[c]) for c in columns) + " |" for row in rows]
+        lines += ["| " + " | ".join(text(row.get(c, math.nan)) for c in columns) + " |" for row in rows]
     return "\n".join(lines[1:])
 
 

@@ -154,8 +154,8 @@ def table_of(data: str, metrics: pd.DataFrame) -> list[dict[str, Any]]:
     """A row per method, with the published values."""
     number = int(metrics["demo"].max()) + 1
     # The protocol of the evaluation, which is what 'animarl evaluate' writes for runs.
-    compared = comparison_table(metrics, number, np.random.default_rng(SEED))
-    pairs = pair_table(metrics, number, np.random.default_rng(SEED))
+    compared = comparison_table(metrics, np.arange(number), np.random.default_rng(SEED))
+    pairs = pair_table(metrics, np.arange(number), np.random.default_rng(SEED))
     compared = compared[compared["counting"] == "all"].set_index(["method", "measure"])
     truth = metrics[metrics["method"] == RECORDED]
     pairs = pairs[(pairs["counting"] == "all") & (pairs["measure"] == DTW.key)]

@@ -62,7 +62,7 @@ def main() -> None:
              f"{gap:+.0%}")
         )  # fmt: skip
     print(markdown_table(("measure", "unit", "recorded", "simulated", "gap"), values))
-    print(f"\n{found.rollouts} rollouts from {found.starts} test starts: {found.overall}")
+    print(f"\n{found.rollouts} rollouts from {found.starts} test starts: {found.headline}")
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_algos import load_run
-from animarl_algos.evaluation.classifier import sequence_windows, tell_apart, window_steps
+from animarl_algos.evaluation.classifier import classify, sequence_windows, window_steps
 from animarl_algos.evaluation.collect import Blindfolded
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import resting_step, smoothed
@@ -302,7 +302,7 @@ def order_told(recorded: Rollouts, simulated: Rollouts, arena: Arena) -> float:
     ]
     rest, steps, each = resting_step(smooth[0]), window_steps(recorded), np.arange(len(recorded))
     first, second = (sequence_windows(side, arena, rest, steps, each) for side in smooth)
-    return tell_apart(first, second, np.random.default_rng(0), deals=1).auc.estimate
+    return classify(first, second, np.random.default_rng(0), deals=1).auc.estimate
 
 
 def as_long_as(recorded: Rollouts, made: Rollouts) -> Rollouts:

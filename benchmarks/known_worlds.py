@@ -26,6 +26,7 @@ LIMIT = 200  # steps of an episode
 CONTACT = 0.12  # [arena unit]
 ARENA = Arena("open", 1.0, 1.1)
 BLOCK = 20  # steps: order is lost beyond 2 s
+LATE = 3  # steps that a reaction is late
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,9 @@ class KnownWorld:
         demo = np.repeat(np.arange(len(recorded)), each)
         start = recorded.positions[recorded.offsets[:-1]][demo]
         return _rollouts(recorded, *self.episodes(start, rng), demo, each)
+
+
+WORLDS = {"free pair": KnownWorld(chase=False), "chase": KnownWorld(chase=True)}
 
 
 def _rollouts(
@@ -234,6 +238,35 @@ def independent_speeds(paths: list[Floats], rng: np.random.Generator) -> list[Fl
     return out
 
 
+def late(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
+    """Let the second do everything 0.3 s later than it did."""
+    out = []
+    for path in paths:
+        step = np.diff(path, axis=0)
+        step[:, 1] = np.concatenate([np.zeros((LATE, 2)), step[:, 1]])[: len(step)]
+        out.append(_from_steps(path, step))
+    return out
+
+
+def circles(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
+    """Let everybody walk in circles, with the speeds they had."""
+    out = []
+    for path in paths:
+        length = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+        angle = 0.15 * np.arange(len(length))[:, None, None]
+        course = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
+        out.append(_from_steps(path, length[..., None] * course))
+    return out
+
+
+def too_much_alike(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
+    """Let all episodes have the mean speed of all."""
+    length = [np.linalg.norm(np.diff(p, axis=0), axis=-1).mean(axis=0) for p in paths]
+    mean = np.mean(length, axis=0)
+    factors = [mean / np.where(one > 0, one, 1.0) for one in length]
+    return [_from_steps(p, f[:, None] * np.diff(p, axis=0)) for p, f in zip(paths, factors)]
+
+
 FAULTS: dict[str, Fault] = {
     "8 % too fast": faster(1.08),
     "20 % too fast": faster(1.2),
@@ -245,6 +278,9 @@ FAULTS: dict[str, Fault] = {
     "30 % frozen": frozen,
     "straight at the target": straight,
     "independent speeds": independent_speeds,
+    "0.3 s late": late,
+    "circles": circles,
+    "too much alike": too_much_alike,
 }
 
 

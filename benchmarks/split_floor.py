@@ -33,7 +33,7 @@ def split_rows(demos: Demonstrations) -> list[tuple[str, float, float, float]]:
     others = prepared.filtered(Rollouts.from_demonstrations(learnable(demos)))
     beside = measures(prepared, others)
     rows = []
-    for measure in judged_metrics(demos):
+    for measure in judged_metrics(prepared):
         a, b = own[measure.key], beside[measure.key]
         error = float(np.hypot(*(x.std(ddof=1) / np.sqrt(len(x)) for x in (a, b))))
         if error > 0:

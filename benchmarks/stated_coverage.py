@@ -19,10 +19,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import gammaincinv, ndtr, ndtri
 
-from animarl_algos.evaluation.classifier import Windows, tell_apart, window_features
+from animarl_algos.evaluation.classifier import Windows, classify, window_features
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, pair_table
 from animarl_algos.evaluation.comparison import gate as passed_gate
+from animarl_algos.evaluation.differences import Differences, Sides, simultaneous_differences
 from animarl_algos.evaluation.realism import over_groups
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -30,15 +31,16 @@ from animarl_algos.evaluation.statistics import (
     Draws,
     bootstrap_difference,
     bootstrap_mean,
+    cells,
     energy_cells,
     margins,
 )
-from animarl_algos.evaluation.verdict_rows import Exchanges, exchange_test
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 SEEDS, DEMOS = (1, 3, 5, 10), (10, 20, 50)
 ROLLOUTS, RESAMPLES, AT_ONCE = 3, 2000, 500
@@ -273,6 +275,63 @@ def energy(experiments: int) -> None:
     )
 
 
+def compared(
+    recorded: Floats, simulated: Floats, demo: Ints, rng: np.random.Generator,
+    unit: Ints | None = None,
+) -> Differences:  # fmt: skip
+    """Take the differences of measures that are tested at 5 % together."""
+    starts, measures = recorded.shape
+    sides = Sides(
+        demo=demo,
+        unit=np.arange(starts) if unit is None else unit,
+        weight=np.ones((starts, measures)),
+        binary=np.zeros(measures, dtype=bool),
+        primary=np.ones(measures, dtype=bool),
+    )
+    return simultaneous_differences(recorded, simulated, sides, rng)
+
+
+def differs(
+    recorded: Floats, simulated: Floats, demo: Ints, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Return which intervals of differences exclude zero."""
+    found = compared(recorded, simulated, demo, rng)
+    return np.asarray(np.abs(found.value) > found.margin)
+
+
+def clustered(experiments: int) -> None:
+    """Of recordings that were cut into pieces, of animals that differ.
+
+    Coverage of the mean, of the difference of a simulator that does not know the animal, and how
+    often any of ten intervals together misses.
+    """
+    rows = []
+    for apart in (0.3, 0.5):
+        for animals in (5, 10, 20, 50):
+            rng = np.random.default_rng([9, animals, round(10 * apart)])
+            pieces, each, measures = 5, 3, 10
+            unit = np.repeat(np.arange(animals), pieces)
+            demo = np.repeat(np.arange(len(unit)), each)
+            mean = one = together = 0
+            for _ in range(experiments):
+                own = apart * rng.normal(size=(animals, measures))[unit]
+                recorded = 1 + own + 0.2 * rng.normal(size=own.shape)
+                anybody = apart * rng.normal(size=(len(demo), measures))
+                simulated = 1 + anybody + 0.2 * rng.normal(size=anybody.shape)
+                column = cells(recorded[:, 0], np.zeros(len(unit)), unit, animals)
+                found = bootstrap_mean(column, rng)
+                mean += found.low <= 1 <= found.high
+                alone = compared(recorded[:, :1], simulated[:, :1], demo, rng, unit)
+                one += bool(abs(alone.value[0]) <= alone.margin[0])
+                every = compared(recorded, simulated, demo, rng, unit)
+                together += bool((np.abs(every.value) > every.margin).any())
+            found_rates = (f"{mean / experiments:.3f}", f"{one / experiments:.3f}")
+            rows.append([f"{100 * apart:g} %", str(animals), *found_rates])
+            rows[-1].append(percent(together, experiments))
+    heading = ["animals differ by", "animals", "mean", "difference", "one of ten misses"]
+    show(f"Five pieces an animal, {experiments:,} experiments", heading, rows)
+
+
 def null(experiments: int) -> None:
     rows = []
     for kind in SPREAD:
@@ -286,10 +345,8 @@ def null(experiments: int) -> None:
                 centre = rng.normal(size=starts)
                 recorded, perfect = centre + rng.normal(size=starts), centre[demo]
                 perfect = perfect + rng.normal(size=len(demo))
-                both = np.concatenate([recorded, perfect])
-                both = np.exp(0.7 * both) if kind == "lognormal" else both
-                exchanges = Exchanges.draw(demo, starts, rng, 400)
-                alarms += exchange_test(both[:, None], exchanges).p <= 0.05
+                sides = [np.exp(0.7 * v) if kind == "lognormal" else v for v in (recorded, perfect)]
+                alarms += bool(differs(sides[0][:, None], sides[1][:, None], demo, rng)[0])
             rows.append([kind, str(starts), percent(alarms, experiments)])
     heading = ["values", "starts", "difference of means"]
     show(f"Perfect simulators called different, {experiments:,} experiments", heading, rows)
@@ -301,19 +358,17 @@ def copies(experiments: int) -> None:
     for counted in (False, True):
         for starts in STARTS:
             rng, demo = np.random.default_rng([5, starts]), np.repeat(np.arange(starts), 5)
-            repeats = None if counted else np.tile(np.arange(5) > 0, starts)
-            alarms = np.zeros(2, dtype=int)
+            kept = slice(None, None, 1 if counted else 5)
+            alarms = 0
             for _ in range(experiments):
                 centre = rng.normal(size=starts)
                 recorded, simulated = centre + rng.normal(size=(2, starts))
-                both = np.concatenate([recorded, simulated[demo]])
-                exchanges = Exchanges.draw(demo, starts, rng, 400, copies=repeats)
-                kinds = np.digitize(both, [-1.5, 0.0, 1.5])
-                alarms += [exchange_test(both[:, None], exchanges).p <= 0.05,
-                           exchanges.chi_squared(kinds).p <= 0.05]  # fmt: skip
+                drawn = demo[kept]
+                found = differs(recorded[:, None], simulated[drawn][:, None], drawn, rng)
+                alarms += bool(found[0])
             name = "five rollouts" if counted else "one"
-            rows.append([name, str(starts), *(percent(n, experiments) for n in alarms)])
-    heading = ["copies count as", "starts", "difference of means", "chi-squared"]
+            rows.append([name, str(starts), percent(alarms, experiments)])
+    heading = ["copies count as", "starts", "difference of means"]
     show(f"Simulators without chance called different, {experiments:,} experiments", heading, rows)
 
 
@@ -343,7 +398,7 @@ def classifier(experiments: int) -> None:
                 group = np.repeat(group, 6)
                 values = centre[group] + episode + rng.normal(size=(len(group), 8))
                 sides.append(Windows(values, group, np.array(["speed"] * 8)))
-            auc = tell_apart(*sides, rng).auc
+            auc = classify(*sides, rng).auc
             inside += auc.low <= 0.5 <= auc.high
         rows.append([str(starts), percent(inside, experiments)])
     heading = ["demonstrations in each half", "0.5 within the interval"]
@@ -363,7 +418,7 @@ def random_actions() -> None:
             window_features(each, demos.arena)
             for each in (Rollouts.from_demonstrations(demos), rollouts)
         ]
-        told = tell_apart(*sides, np.random.default_rng(0)).auc
+        told = classify(*sides, np.random.default_rng(0)).auc
         held = f"{told.estimate:.3f} [{told.low:.3f}, {told.high:.3f}]"
         rows.append([name, str(demos.num_episodes), held])
     show("Random actions", ["packaged demonstrations", "episodes", "AUC"], rows)
@@ -383,8 +438,8 @@ def speed(_: int) -> None:
         tables.append(pd.DataFrame(row))
     metrics = pd.concat(tables, ignore_index=True)
     start, wall = time.process_time(), time.perf_counter()
-    comparison_table(metrics, number, rng)
-    pair_table(metrics, number, rng)
+    comparison_table(metrics, np.arange(number), rng)
+    pair_table(metrics, np.arange(number), rng)
     used = f"{time.process_time() - start:.1f}", f"{time.perf_counter() - wall:.1f}"
     what = f"6 methods, 5 metrics, {number} episodes, 10,000 resamples, distances and pairs"
     show("Speed", ["comparison", "processor s", "wall s"], [[what, *used]])
@@ -406,6 +461,7 @@ SECTIONS: dict[str, tuple[Callable[[int], None], int]] = {
     "shares": (shares, 1000),
     "realism": (realism, 2000),
     "energy": (energy, 1000),
+    "clustered": (clustered, 400),
     "null": (null, 400),
     "copies": (copies, 400),
     "gate": (gate, 4000),

@@ -95,7 +95,7 @@ def judge(names: Sequence[str]) -> None:
         chosen = json.loads((model / METRICS).read_text())["chosen_by_validation"]
         with TemporaryDirectory() as place:
             run = Run(Path(shutil.copytree(model, Path(place) / species)))
-            print(species, evaluate_run(run).verdict.overall, flush=True)
+            print(species, evaluate_run(run).verdict.headline, flush=True)
             export_run(run, model, chosen=chosen)
 
 

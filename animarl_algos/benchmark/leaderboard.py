@@ -15,7 +15,6 @@ from animarl_algos.benchmark.matrix import Plan
 from animarl_algos.benchmark.pieces import Cell, Clone
 from animarl_algos.benchmark.scores import ENERGY, Score, differences, labels, ranked
 from animarl_algos.evaluation.statistics import interval
-from animarl_algos.evaluation.verdict_rows import OUTCOMES
 from animarl_algos.report.words import NOTHING, number, with_interval
 from animarl_algos.runs.run_files import machine
 from animarl_envs.drawing import markdown_table
@@ -24,14 +23,14 @@ from animarl_envs.files import write_then_rename
 COSTS = ("row", "seed", "clone", "processor_seconds", "parameters")
 HEAD = ("data", "method", "kind", "starts", "rollouts", "covers", "words")
 HOW = """\
-Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds,
-of the AUC over demonstrations alone. With several seeds the others are of training runs like these,
-with one of this network only. **Bold**: the verdict finds no difference in it; of realism, energy
-score and DTW, as good as those of other recordings of the same condition. Outcome, duration, path
-length and speed are differences to the recordings; realism is higher the better, and lower is
-better everywhere else. Ranks go by the energy score of duration, path length and speed together, as
-far as paired intervals tell two methods apart; recordings and tracking know where the recordings go
-and are not ranked. Parameters and processor time stand in `costs.md`.
+Test split; rollouts from its starts. In brackets the 95 % interval over recordings; of differences
+to the recordings (endings, duration, path length, speed) it holds for all rows of a verdict
+together. Of realism, energy score and DTW it is over recordings and seeds. With several seeds these
+are of training runs like these, with one of this network only. **Bold**: alike; of realism, energy
+score and DTW, as good as those of other recordings of the same condition. Realism is higher the
+better, and lower is better everywhere else. Ranks go by the energy score of duration, path length
+and speed together, as far as paired intervals tell two methods apart; recordings and tracking know
+where the recordings go and are not ranked. Parameters and processor time stand in `costs.md`.
 """
 
 
@@ -91,7 +90,7 @@ def _section(plan: Plan, name: str, scores: Sequence[Score], ranks: Mapping[str,
 
     named = {key: title for one in scores for key, title in titles(one).items()}
     keys = [key for key in labels() if key in named]
-    compared = [k for k in keys if k in {OUTCOMES, *(metric.key for metric in differences())}]
+    compared = [k for k in keys if k in {metric.key for metric in differences()}]
     first = keys.index(compared[0])
     for some in (keys[:first], compared, keys[first + len(compared) :]):
         lines = [

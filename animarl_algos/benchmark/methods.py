@@ -39,7 +39,7 @@ from scipy.spatial import cKDTree
 
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation import collect
-from animarl_algos.evaluation.classifier import followed
+from animarl_algos.evaluation.classifier import tracked_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.run import Run
@@ -221,7 +221,7 @@ def reference_rollouts(
         beside = demos.select(split="val") if fold else learnable(demos)
         return others_as_rollouts(beside, test, seed)
     if method == "tracking":
-        tracked = followed(test, track(test, species.locomotion, species.arena))
+        tracked = tracked_rollouts(test, track(test, species.locomotion, species.arena))
         return replace(tracked, method=method, seed=np.full(len(tracked), seed))
     if method == "experts":
         return expert_rollouts(demos, species, seed, repetitions)

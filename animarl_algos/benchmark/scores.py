@@ -35,7 +35,7 @@ from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
 from animarl_algos.evaluation.verdict import SUMMARY, summary_table, verdict
-from animarl_algos.evaluation.verdict_rows import OUTCOMES, SAME
+from animarl_algos.evaluation.verdict_rows import ALIKE, COLOURS
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
@@ -68,7 +68,6 @@ def labels() -> dict[str, str]:
         AUC: "classifier AUC",
         SEQUENCE: "AUC of order in time",
         ENERGY: "energy score",
-        OUTCOMES: "endings (chi-squared)",
         **{one.key: one.label[:1].lower() + one.label[1:] for one in differences()},
         DTW_PER_STEP.key: "DTW per step",
     }
@@ -84,11 +83,11 @@ class Score:
         What intervals speak of, and the verdict.
     measures
         One row per measure: ``unit``, ``value`` with its interval ``low`` to ``high``, and the
-        ``reason`` why there is none. Differences, endings and areas are those of the rows of the
-        verdict, with their ``null`` and ``p``; ``inside`` says that such a row finds nothing, of
-        other measures that they are as good as the ``null``: recordings of other starts.
+        ``reason`` why there is none. Differences and areas are those of the rows of the verdict,
+        with their ``judgement`` and ``colour``; ``inside`` says that such a row is alike, of other
+        measures that they are as good as the ``null``: recordings of other starts.
     energies
-        ``(seeds, starts)``: the joint energy score, NaN for none.
+        ``(seeds, recordings)``: the joint energy score, NaN for none.
     """
 
     data: str = ""
@@ -163,27 +162,37 @@ def _score(
     rows: dict[str, dict[str, Any]] = {}
 
     def put(
-        key: str, value: Interval, null: float, inside: bool, unit: str = "", p: float = math.nan
+        key: str, value: Interval, null: float, inside: bool, unit: str = "", word: str = ""
     ) -> None:
-        rows[key] = statistics.row_of(value, measure=key, unit=unit, null=null, p=p, inside=inside)
+        rows[key] = statistics.row_of(
+            value,
+            measure=key,
+            unit=unit,
+            null=null,
+            inside=inside,
+            judgement=word,
+            colour=COLOURS.get(word, ""),
+        )
 
-    for _, row in found.table.iterrows():
-        value, same = statistics.interval(row), bool(row["judgement"] == SAME)
+    for row in found.rows():
+        value, word = Interval(row.value, row.low, row.high, row.reason), row.judgement
         # Over all folds each recording stands on one side itself and on the other as another's: a
         # classifier would learn to call it by the side on which it met it.
-        if row["measure"] in found.areas and others is None and rollouts.method == RECORDINGS:
-            value, same = found.areas[row["measure"]]["among"], True
-        put(row["measure"], value, row["null"], same, row["unit"], row["p"])
+        if row.measure in found.areas and others is None and rollouts.method == RECORDINGS:
+            value, word = found.areas[row.measure]["among"], ALIKE
+        put(row.measure, value, math.nan, word == ALIKE, row.unit, word)
     others_score = found.realism_beside.get(OTHERS, math.nan)
     put(REALISM, found.realism, others_score, found.realism.estimate >= others_score)
     drawn, true = (
         summary_table(prepared, side) for side in (prepared.filtered(counted), prepared.recorded)
     )
-    energies = statistics.energy_cells(drawn, counted.seed, counted.demo, true)
+    unit = np.unique(test.recording, return_inverse=True)[1].astype(np.int64)
+    energies = statistics.energy_cells(drawn, counted.seed, counted.demo, true).by_unit(unit)
     energy, pooled = statistics.bootstrap_mean(energies, draws), statistics.pooled_score(true)
     put(ENERGY, energy, pooled, energy.estimate <= pooled, "recorded SD")
     own, other = (DTW_PER_STEP.measure(prepared.episodes(side)) for side in (counted, beside))
-    data, null = statistics.cells(own, counted.seed, counted.demo, len(test)), float(other.mean())
+    data = statistics.cells(own, counted.seed, counted.demo, len(test)).by_unit(unit)
+    null = float(other.mean())
     dtw = statistics.bootstrap_mean(data, draws)
     put(DTW_PER_STEP.key, dtw, null, dtw.estimate <= null, DTW_PER_STEP.unit)
     return Score(
@@ -192,7 +201,7 @@ def _score(
         starts=len(np.unique(counted.demo)),
         rollouts=len(counted),
         covers=covers(data),
-        words=found.overall,
+        words=found.headline,
         measures=[rows[key] for key in labels() if key in rows],
         energies=energies.cell_means,
     )

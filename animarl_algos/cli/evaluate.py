@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 WIDTH = 128
 RUNS = "Run folders, of methods and seeds."
 OUT = "Folder for tables, figures and report.html."
+TOLERANCE = Option(
+    help="NAME=NUMBER: how much of this measure may differ and still count as alike; repeatable."
+)
+PRIMARY = Option(help="A measure chosen before looking, tested at a level of its own; repeatable.")
+DETAILS = Option("--details", help="Print the tables.")
 COLOURS = {"none": "none", "some": "yellow", "red": "red"}
 
 
@@ -32,12 +37,18 @@ COLOURS = {"none": "none", "some": "yellow", "red": "red"}
     "default the run's.",
     demos="With --out: other recordings of the same animals to evaluate on, an .npz of 'animarl "
     "import' or the name of a packaged set.",
+    tolerance=TOLERANCE,
+    primary=PRIMARY,
+    details=DETAILS,
 )
 def evaluate_command(
     runs: list[Path],
     out: Path | None = None,
     acting: str | None = None,
     demos: str | None = None,
+    tolerance: list[str] | None = None,
+    primary: list[str] | None = None,
+    details: bool = False,
 ) -> None:
     """Compare trained runs with their recordings and with each other.
 
@@ -52,21 +63,26 @@ def evaluate_command(
       animarl evaluate runs/bc-0 runs/bc-1 runs/dqdil-pt-0 runs/dqdil-pt-1 --out out/eval
 
       animarl evaluate runs/agents --demos later.npz --out out/later
+
+      animarl evaluate runs/agents --primary speed --tolerance turning=0.2 --details
     """
-    from animarl_algos.report.verdict_section import evaluation_table, verdict_table
+    from animarl_algos.evaluation.verdict_rows import Questions
+    from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import evaluate_runs, lacking
     from animarl_algos.runs.run import Run
 
     missing: Sequence[str]
+    questions = Questions.parse(tolerance or (), primary or ())
     if out is not None:
         if acting is not None:
             raise InputError(
                 "--acting does not go with --out, which compares rollouts that are there: give it "
                 "to 'animarl evaluate RUN'"
             )
-        found = evaluate_runs(runs, out, demos=None if demos is None else load(demos))
+        new = None if demos is None else load(demos)
+        found = evaluate_runs(runs, out, demos=new, questions=questions)
         evaluation, missing, words = found.evaluation, found.lacking, Words.of(found.test)
     else:
         if demos is not None:
@@ -74,10 +90,14 @@ def evaluate_command(
         if len(runs) > 1:
             raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
         run = Run(runs[0], acting)
-        evaluation, missing, words = pipeline.evaluate_run(run), lacking(run), Words.of(run.demos)
+        evaluation = pipeline.evaluate_run(run, questions)
+        missing, words = lacking(run), Words.of(run.demos)
     console = PlainConsole(WIDTH)
-    console.print(evaluation_table(evaluation, words))
-    console.print(verdict_table(evaluation.verdict, words))
+    if details:
+        console.print(evaluation_table(evaluation, words))
+        console.print(verdict_table(evaluation.verdict, words))
+    for line in verdict_lines(evaluation.verdict, words):
+        console.print(line)
     for sentence in missing:
         console.print(sentence)
     if out is not None:

@@ -13,6 +13,7 @@ import typer
 from rich.text import Text
 
 from animarl_algos.cli import shared
+from animarl_algos.cli.evaluate import DETAILS, PRIMARY, TOLERANCE
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
@@ -26,6 +27,7 @@ SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts"
 """Options that are None where they are not given."""
 OTHERS = {
     "context": shared.CONTEXT,
+    "details": shared.option("details", bool, False, DETAILS),
     "env": shared.option("env", str | None, None, typer.Option(
         help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
     )),
@@ -43,6 +45,7 @@ OTHERS = {
     "policy": shared.option("policy", str | None, None, typer.Option(
         help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
     )),
+    "primary": shared.option("primary", list[str] | None, None, PRIMARY),
     "resume": shared.option("resume", Path | None, None, typer.Option(
         help="Continue this run folder, up to --steps.",
     )),
@@ -51,6 +54,7 @@ OTHERS = {
         help="A setting of the learner, KEY=VALUE, such as learning_rate=0.001; may be repeated. "
         "Names: docs/learners.md.",
     )),
+    "tolerance": shared.option("tolerance", list[str] | None, None, TOLERANCE),
 }  # fmt: skip
 """Options that are no field of :class:`RunSettings`."""
 
@@ -75,7 +79,8 @@ def _options(names: str) -> list[inspect.Parameter]:
 
 @shared.asks_for(_options(
     "file env species algo preset steps seed out source copies focal neighbours policy device "
-    "config cloning fit_method thrusts acting repetitions folds baselines settings"
+    "config cloning fit_method thrusts acting repetitions folds baselines tolerance primary "
+    "details settings"
 ))  # fmt: skip
 def run_command(**given: Any) -> None:
     """Build a simulator from recordings: fit, train, evaluate, report.
@@ -94,7 +99,8 @@ def run_command(**given: Any) -> None:
     """
     from animarl_algos.cli.fit import format_fit_table
     from animarl_algos.evaluation.verdict import implausible
-    from animarl_algos.report.verdict_section import evaluation_table, verdict_table
+    from animarl_algos.evaluation.verdict_rows import Questions
+    from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import far_acting_rules
@@ -110,7 +116,9 @@ def run_command(**given: Any) -> None:
         for sentence in sentences:
             console.print(f"WARNING: {sentence}", style="bold yellow")
 
+    questions = Questions.parse(given["tolerance"] or (), given["primary"] or ())
     run = _open(given)
+    questions.check(run.demos)
     folds = number_of_folds(run.demos, given["folds"])
     begin("1/4", "fitting locomotion")
     fit = pipeline.fit(run)
@@ -130,13 +138,16 @@ def run_command(**given: Any) -> None:
             )
         pipeline.cross_validate(run, folds)
     begin("3/4", f"evaluating on {tested}")
-    evaluation = pipeline.evaluate_run(run)
+    evaluation, words = pipeline.evaluate_run(run, questions), Words.of(run.demos)
     warn([*implausible(evaluation.verdict), *far_acting_rules(run)])
-    console.print(evaluation_table(evaluation, words=Words.of(run.demos)))
+    if given["details"]:
+        console.print(evaluation_table(evaluation, words=words))
+        console.print(verdict_table(evaluation.verdict, words))
     begin("4/4", "writing the report")
     page = pipeline.report(run)
-    console.print(verdict_table(evaluation.verdict, Words.of(run.demos)))
-    console.print(f"\nOpen {page}")
+    for line in verdict_lines(evaluation.verdict, words):
+        console.print(line)
+    console.print(f"Open {page}")
 
 
 @shared.asks_for(_options(

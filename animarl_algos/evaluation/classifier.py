@@ -16,7 +16,7 @@ search. Long windows, up to a quarter of an episode, are therefore described by 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation import order_in_time, statistics
+from animarl_algos.evaluation.metrics import ORDER_METRICS
 from animarl_algos.evaluation.prepared import WINDOW, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, Row
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
@@ -57,10 +57,9 @@ TREES: dict[str, Any] = {
     "l2_regularization": 1.0, "max_bins": LEVELS + 1, "early_stopping": False, "random_state": 0,
 }  # fmt: skip
 
-LITTLE_AUC = 0.60  # up to here it differs by little: two normal curves 0.36 sd apart
-MOST_ERRORS = 2.33  # above chance: a row that differs by chance alone does so in 1 % of cases
-FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
-PART = 15  # windows of such a part
+LEVEL = 0.01  # of each classifier, at either end of its interval
+MIN_RECORDINGS = 3  # for an interval
+PART = 15  # windows of a part, where whole demonstrations are too few for a fit
 AUC, SEQUENCE = "auc", "auc_sequence"
 
 
@@ -168,7 +167,8 @@ def sequence_windows(
     measured = order_in_time.order_measures(
         pieces, order_in_time.lags_for(steps, rollouts.dt), rest, arena
     )
-    return Windows(measured.values, group[pieces.demo], np.array(measured.kinds))
+    kinds = [ORDER_METRICS[order_in_time.plain_name(name)].kind for name in measured.names]
+    return Windows(measured.values, group[pieces.demo], np.array(kinds))
 
 
 def _cut(rollouts: Rollouts, steps: int) -> tuple[Ints, Ints, Ints]:
@@ -265,22 +265,23 @@ def _summary(series: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Telling:
+class ClassifierResult:
     """How well two sets of windows are told apart.
 
     ``auc`` has a 95 % interval over demonstrations and training sets; where it is undefined (NaN)
     its ``reason`` says why. ``importance`` is by how much the area falls when the features of one
     kind are shuffled. It is read beside ``areas``, and nothing of them is subtracted: those of
     recordings ``among`` themselves, of closed-loop tracking (``floor``) and of random actions
-    (``ceiling``).
+    (``ceiling``). ``units`` is the number of recordings that were compared.
     """
 
     auc: Interval
     importance: Mapping[str, float] = field(default_factory=dict)
     areas: Mapping[str, Interval] = field(default_factory=dict)
+    units: int = 0
 
 
-def tell_apart(
+def classify(
     first: Windows,
     second: Windows,
     rng: np.random.Generator,
@@ -288,7 +289,7 @@ def tell_apart(
     deals: int | None = None,
     importance: bool = False,
     until_clear: bool = False,
-) -> Telling:
+) -> ClassifierResult:
     """Area under the ROC curve of a cross-fitted classifier, ``second`` against ``first``.
 
     Parameters
@@ -316,7 +317,7 @@ def tell_apart(
     sides = [np.isin(names, side.group) for side in (first, second)]
     folds = min([FOLDS, *(int(side.sum()) for side in sides)])
     if folds < 2:
-        return Telling(Interval(math.nan, reason="too few recordings to split"))
+        return ClassifierResult(Interval(math.nan, reason="too few recordings"))
     most = deals or max(DEALS, 0 if len(names) < FEWEST_DEALT else math.ceil(DEALT / len(names)))
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
@@ -346,7 +347,7 @@ def tell_apart(
                     fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
             if not splits:
                 reason = "too few windows for a tree to split: all scores are tied"
-                return Telling(Interval(math.nan, reason=reason))
+                return ClassifierResult(Interval(math.nan, reason=reason))
             with np.errstate(invalid="ignore", divide="ignore"):
                 above, all_met = (np.einsum("rg,rg->r", drawn @ s, drawn) for s in (wins, pairs))
                 auc = statistics.percentile_interval(
@@ -356,7 +357,7 @@ def tell_apart(
             low, high = NEAR_CHANCE
             if until_clear and deal + 1 >= DEALS and not low <= _errors_above_chance(auc) <= high:
                 break
-    return Telling(auc, {what: float(np.mean(by)) for what, by in fallen.items()})
+    return ClassifierResult(auc, {what: float(np.mean(by)) for what, by in fallen.items()})
 
 
 def _errors_above_chance(auc: Interval) -> float:
@@ -379,7 +380,7 @@ def among_themselves(
     for _ in range(halves):
         dealt = rng.permutation(groups)
         one, other = dealt[: len(groups) // 2], dealt[len(groups) // 2 :]
-        auc = tell_apart(recorded.of(one), recorded.of(other), rng, deals=1).auc
+        auc = classify(recorded.of(one), recorded.of(other), rng, deals=1).auc
         found.append((auc.estimate, auc.low, auc.high))
     estimate, low, high = np.mean(found, axis=0).tolist()
     return Interval(estimate, low, high)
@@ -454,10 +455,10 @@ def _compare(
     return rows.T @ won @ columns, np.outer(rows.sum(axis=0), columns.sum(axis=0))
 
 
-# -- judges of a verdict --------------------------------------------------------------------------
+# -- classifiers of a verdict ----------------------------------------------------------------------
 
 
-def followed(demos: Demonstrations, tracking: Tracking) -> Rollouts:
+def tracked_rollouts(demos: Demonstrations, tracking: Tracking) -> Rollouts:
     """The demonstrations as tracking follows them, on the grid on which positions were stored."""
     require(
         tracking.positions.shape == demos.positions.shape,
@@ -468,70 +469,73 @@ def followed(demos: Demonstrations, tracking: Tracking) -> Rollouts:
     return replace(Rollouts.from_demonstrations(demos), positions=stored)
 
 
-def _row(key: str, label: str, found: Telling) -> Row:
-    auc, among, importance = found.auc, found.areas.get("among", UNDEFINED), found.importance
-    judgement = words = SAME
-    by = max(importance, key=lambda what: importance[what], default="")
-    if not math.isfinite(auc.low):
-        judgement = UNKNOWN
-        words = f"{UNKNOWN}: {auc.reason}" if auc.reason else UNKNOWN
-    elif _errors_above_chance(auc) > MOST_ERRORS and auc.estimate <= LITTLE_AUC:
-        judgement = BY_LITTLE
-        words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
-    elif _errors_above_chance(auc) > MOST_ERRORS:
-        judgement, words = DIFFERS, f"distinguished, most of all by {by}"
-    return Row(
-        **statistics.row_of(auc, measure=key, label=label, judgement=judgement, verdict=words),
-        recorded=among.estimate, simulated=auc.estimate, null=among.high,
-    )  # fmt: skip
+def interval_over_recordings(area: Interval, recordings: int) -> Interval:
+    """Return an area with an interval of which each end errs in ``LEVEL`` of experiments.
+
+    A bootstrap of few recordings is too narrow, and has no width where all are told apart: margins
+    are widened to those of Student's t, and are at least as long as one more recording that is told
+    by chance would move the area.
+    """
+    if not math.isfinite(area.low):
+        return area
+    if recordings < MIN_RECORDINGS:
+        named = f"{recordings} recording{'s' * (recordings != 1)}"
+        return Interval(area.estimate, reason=f"{named}, too few for an interval")
+    wider = float(statistics.student_t(1 - LEVEL, recordings - 1)) / statistics.normal(0.975)
+    middle, least = area.estimate, abs(area.estimate - 0.5) / (recordings + 1)
+    below, above = (max(wider * abs(end - middle), least) for end in (area.low, area.high))
+    if below + above == 0:
+        return Interval(middle, reason="all scores are tied")
+    return Interval(middle, max(middle - below, 0.0), min(middle + above, 1.0))
 
 
-def judges(
+def classify_all(
     prepared: Prepared,
     counted: Rollouts,
     sides: Mapping[str, Rollouts],
     references: Demonstrations | None,
-    group: Ints,
+    unit: Ints,
     streams: Sequence[np.random.Generator],
     *,
     alone: bool = False,
-) -> Iterator[tuple[Row, Telling]]:
-    """Ask about two seconds of motion, then about order in time.
+) -> Iterator[tuple[str, str, ClassifierResult]]:
+    """Classify two seconds of motion, then order in time: name, label and result of each.
 
     ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
     other recordings to show two seconds of, by default halves of the evaluated ones are compared;
-    ``group`` ``(starts,)`` is the recording of each start. With ``alone`` there is the area of the
+    ``unit`` ``(starts,)`` is the recording of each start. With ``alone`` there is the area of the
     rollouts and nothing beside it.
     """
     demos, steps = prepared.demos, window_steps(prepared.recorded)
-    block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
+    recordings = len(np.unique(unit[np.unique(counted.demo)]))
 
-    def short(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
-        made = window_features(rollouts, demos.arena, block=block, still=prepared.rest)
-        return made.by_recording(of) if block is None else made
+    def short(rollouts: Rollouts, unit: Ints = unit) -> Windows:
+        made = window_features(rollouts, demos.arena, still=prepared.rest)
+        return replace(made, group=unit[made.group])
 
     def long(rollouts: Rollouts) -> Windows:
-        return sequence_windows(rollouts, demos.arena, prepared.rest, steps, group)
-
-    def judge(
-        key: str, of: str, windows: Callable[[Rollouts], Windows], rng: np.random.Generator,
-        among: Callable[[Windows], Interval],
-    ) -> tuple[Row, Telling]:  # fmt: skip
-        own = windows(prepared.recorded)
-        found = tell_apart(own, windows(counted), rng, importance=not alone, until_clear=alone)
-        if not alone:
-            areas = {k: tell_apart(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
-            found = replace(found, areas={"among": among(own), **areas})
-        return _row(key, f"Distinguished by {of} (AUC)", found), found
+        return sequence_windows(rollouts, demos.arena, prepared.rest, steps, unit)
 
     def others(own: Windows) -> Interval:
         if references is None:
             return among_themselves(own, streams[1])
-        apart = short(prepared.filtered(Rollouts.from_demonstrations(references)), references)
-        apart = replace(apart, group=apart.group + own.group.max() + 1)
-        return tell_apart(own, apart, streams[1], deals=1).auc
+        names = np.unique(references.recording, return_inverse=True)[1]
+        further = prepared.filtered(Rollouts.from_demonstrations(references))
+        apart = short(further, names + int(own.group.max()) + 1)
+        return classify(own, apart, streams[1], deals=1).auc
 
-    yield judge(AUC, f"a classifier on {WINDOW:g} s", short, streams[0], others)
-    seconds, halves = steps * prepared.recorded.dt, partial(among_themselves, rng=streams[2])
-    of_order = f"order in time over {seconds:.3g} s"
-    yield judge(SEQUENCE, of_order, long, streams[2], partial(halves, halves=1))
+    seconds = steps * prepared.recorded.dt
+    halves = partial(among_themselves, rng=streams[2], halves=1)
+    asked = (
+        (AUC, f"Classifier on {WINDOW:g} s of motion", short, streams[0], others),
+        (SEQUENCE, f"Classifier of order over {seconds:.3g} s", long, streams[2], halves),
+    )
+    for key, label, windows, rng, among in asked:
+        own = windows(prepared.recorded)
+        found = classify(own, windows(counted), rng, importance=not alone, until_clear=alone)
+        areas: dict[str, Interval] = {}
+        if not alone:
+            areas = {k: classify(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
+            areas = {"among": among(own), **areas}
+        auc = interval_over_recordings(found.auc, recordings)
+        yield key, label, replace(found, auc=auc, areas=areas, units=recordings)

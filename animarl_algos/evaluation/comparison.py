@@ -27,8 +27,9 @@ from animarl_algos.evaluation.metrics import (
 )
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
-from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws, Floats
+from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws, Floats, Ints
 from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
+from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -54,8 +55,8 @@ class _Measure(NamedTuple):
     truth: Floats | None = None  # recorded values, of an energy score
 
 
-def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
-    """Yield every metric by every rule of what counts, and its energy score.
+def _measures(metrics: pd.DataFrame, unit: Ints) -> Iterator[_Measure]:
+    """Yield every metric by every rule of what counts, and its energy score, by recording.
 
     A share among captures would say nothing; where nobody can be reached, there are none.
     """
@@ -72,20 +73,26 @@ def _measures(metrics: pd.DataFrame, num_demos: int) -> Iterator[_Measure]:
                 for name, rows in methods
                 if metric.of_recordings or name != RECORDED
             }
-            data = {name: statistics.cells(*each, num_demos) for name, each in values.items()}
-            yield _Measure(metric, metric.key, rule, data, metric.share)
+            data = {name: statistics.cells(*each, len(unit)) for name, each in values.items()}
+            yield _Measure(metric, metric.key, rule, _by_unit(data, unit), metric.share)
             if metric.has_distribution and RECORDED in data:
                 truth = data[RECORDED].cell_means[0]
                 del values[RECORDED]
                 scores = {
                     name: statistics.energy_cells(*each, truth) for name, each in values.items()
                 }
-                yield _Measure(metric, ENERGY + metric.key, rule, scores, truth=truth)
+                yield _Measure(
+                    metric, ENERGY + metric.key, rule, _by_unit(scores, unit), truth=truth
+                )
+
+
+def _by_unit(data: Mapping[str, Cells], unit: Ints) -> dict[str, Cells]:
+    return {name: cells.by_unit(unit) for name, cells in data.items()}
 
 
 def comparison_table(
     metrics: pd.DataFrame,
-    num_demos: int,
+    unit: Ints,
     rng: np.random.Generator,
     *,
     resamples: int = RESAMPLES,
@@ -96,23 +103,25 @@ def comparison_table(
     ----------
     metrics
         Rows of :func:`~animarl_algos.evaluation.metrics.measure`, the recordings among them.
-    num_demos
-        Number of evaluated demonstrations.
+    unit
+        ``(starts,)`` the recording of each evaluated demonstration, from 0.
 
     Returns
     -------
     One row per method, measure and counting rule. A measure is a metric or its energy score, the
     mean over starts, whose ``null`` is what the recordings of all other starts score. ``demos``
-    and ``seeds`` say how many count, ``rollouts`` of how many (of an energy score, starts times
-    seeds), and ``covers`` what the interval from ``low`` to ``high`` speaks of; where there is
-    none, ``reason`` says why.
+    (recordings) and ``seeds`` say how many count, ``rollouts`` of how many (of an energy score,
+    starts times seeds), and ``covers`` what the interval from ``low`` to ``high`` speaks of; where
+    there is none, ``reason`` says why.
     """
     draws, table = Draws.by(rng, resamples), []
-    for each in _measures(metrics, num_demos):
+    for each in _measures(metrics, unit):
         for name, data in each.data.items():
             value = statistics.bootstrap_mean(data, draws, share=each.share)
             null = (
-                math.nan if each.truth is None else statistics.pooled_score(each.truth[data.starts])
+                math.nan
+                if each.truth is None
+                else statistics.pooled_score(each.truth[data.starts[unit]])
             )
             table.append(
                 statistics.row_of(
@@ -127,7 +136,7 @@ def comparison_table(
 
 
 def pair_table(
-    metrics: pd.DataFrame, num_demos: int, rng: np.random.Generator, *, resamples: int = RESAMPLES
+    metrics: pd.DataFrame, unit: Ints, rng: np.random.Generator, *, resamples: int = RESAMPLES
 ) -> pd.DataFrame:
     """Every simulated method minus every other and minus the recordings, paired by demonstration.
 
@@ -151,7 +160,7 @@ def pair_table(
         if {one.casefold(), other.casefold()} <= set(own)
     }
     taking_part = {one for pair in planned for one in pair}
-    for each in _measures(metrics, num_demos):
+    for each in _measures(metrics, unit):
         metric, opened = each.metric, None
         gated = each.truth is not None or not metric.has_distribution
         if planned and metric.planned and each.counting == "all" and gated:
@@ -286,6 +295,7 @@ def evaluate(
     floor: Tracking | None = None,
     references: Demonstrations | None = None,
     resamples: int = RESAMPLES,
+    questions: Questions = AS_BUILT,
 ) -> Evaluation:
     """Measure and compare the rollouts of several methods.
 
@@ -300,7 +310,7 @@ def evaluate(
         Of the resampling.
     learner
         The method that the verdict is about; the first by default.
-    floor, references
+    floor, references, questions
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
     """
     if not rollouts:
@@ -322,11 +332,11 @@ def evaluate(
                 "condition='demo' and the actual cue"
             )
     streams = np.random.default_rng(seed).spawn(4)
-    number = demos.num_episodes
+    unit = np.unique(demos.recording, return_inverse=True)[1].astype(np.int64)
     return Evaluation(
         metrics=metrics,
-        comparison=comparison_table(metrics, number, streams[0], resamples=resamples),
-        pairs=pair_table(metrics, number, streams[3], resamples=resamples),
+        comparison=comparison_table(metrics, unit, streams[0], resamples=resamples),
+        pairs=pair_table(metrics, unit, streams[3], resamples=resamples),
         verdict=verdict(
             demos,
             replace(rollouts[learner], method=learner),
@@ -334,6 +344,7 @@ def evaluate(
             floor=floor,
             baselines={name: r for name, r in rollouts.items() if name != learner},
             references=references,
+            questions=questions,
         ),
         fingerprint=demos.fingerprint(),
         seed=seed,

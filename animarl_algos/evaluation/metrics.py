@@ -1,17 +1,21 @@
 """The one registry of what is measured of each episode, and where it is shown.
 
-A new metric is one entry in ``METRICS``. The table of episodes, the comparison with the recordings,
-the verdict, the choice of acting, the leaderboard, the report's figures, tables and sentences and
-the table in the terminal all follow the entries.
+A new metric is one entry in ``METRICS``, or one line of ``measures.csv`` if
+:mod:`animarl_algos.evaluation.order_in_time` computes it. The table of episodes, the comparison
+with the recordings, the verdict, the realism score, the choice of acting, the leaderboard, the
+report's figures, tables and sentences and the table in the terminal all follow the entries.
 """
 
+import csv
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.order_in_time import MEASURES, lags_for, median_steps, seconds_of
+from animarl_algos.evaluation.order_in_time import plain_name
 from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared, ending
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
@@ -22,7 +26,18 @@ from animarl_envs.errors import InputError
 
 ARENA_UNITS = RECORDED_SCALE.name
 GOAL, GROUP, ANIMAL = "goal", "group", "animal"  # what a metric may be about
-
+KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
+KINDS = {
+    KINEMATIC: "Motion of individuals",
+    ORDER: "Order in time",
+    INTERACTIVE: "Reactions to others",
+    PLACE: "Place",
+}
+"""Kinds of metrics that share a row of the verdict; the one farthest from alike stands for it."""
+OF_MEAN, OF_SHARE, OF_SPREAD, OF_WIDTH = "mean", "share", "spread", "width"
+TOLERANCES = {OF_MEAN: 0.10, OF_SHARE: 0.05, OF_SPREAD: 0.25, OF_WIDTH: 0.25}
+"""Differences that count as alike: as part of the recorded mean; as a share; in standard deviations
+between recordings, for what may be zero; and as part of the recorded spread."""
 
 Measure = Callable[[MeasuredEpisodes], Floats]
 
@@ -39,6 +54,12 @@ class Metric:
         As figures, tables and sentences name it.
     measure
         ``(rollouts,)`` values of some episodes.
+    kind
+        One of :data:`KINDS`, whose row in the verdict it is part of; empty: it has its own row.
+    tolerance
+        Which of :data:`TOLERANCES` it is judged by.
+    by_time
+        Pieces of one recording weigh as much as they last, and not all the same.
     share
         It is a share, 0 or 1 for most: shown in percent, without distribution, and over all
         episodes alone.
@@ -56,9 +77,8 @@ class Metric:
     about
         ``"goal"``: only where a target is pursued or a source searched; ``"group"``: only of
         three or more that are alike; ``"animal"``: only of one animal alone.
-    of_order
-        The measure of :mod:`animarl_algos.evaluation.order_in_time` that it is, so that the row of
-        its kind leaves it out. One that ends in ``" in"`` or ``" at"`` stands for several lags.
+    whole
+        It stands for whole episodes in the realism score, as do all metrics of order.
     too_much, too_little
         What the verdict says where rollouts have more of it, or less.
     noun
@@ -70,6 +90,9 @@ class Metric:
     label: str
     unit: str
     measure: Measure
+    kind: str = ""
+    tolerance: str = OF_MEAN
+    by_time: bool = True
     share: bool = False
     of_recordings: bool = True
     planned: bool = False
@@ -78,16 +101,20 @@ class Metric:
     compared: bool = True
     is_ending: bool = False
     about: str = ""
-    of_order: str = ""
+    whole: bool = False
     too_much: str = ""
     too_little: str = ""
     noun: str = ""
 
     @property
-    def words(self) -> tuple[str, str]:
-        """What the verdict says of too much and of too little."""
-        name = self.label[:1].lower() + self.label[1:]
-        return self.too_much or f"{name} too high", self.too_little or f"{name} too low"
+    def is_share(self) -> bool:
+        """Whether its values lie between 0 and 1 and are shown in percent."""
+        return self.share or self.unit == "share"
+
+    def complaint(self, more: bool) -> str:
+        """Return what the verdict says of too much (``more``) or of too little."""
+        given = self.too_much if more else self.too_little
+        return given or f"{self.label[:1].lower()}{self.label[1:]} too {'high' if more else 'low'}"
 
     @property
     def is_length(self) -> bool:
@@ -100,131 +127,156 @@ class Metric:
         return self.of_recordings and not self.share
 
 
-def _of_verdict(
-    key: str, label: str, unit: str, measure: Measure, much: str, little: str,
-    **more: Any,
-) -> Metric:  # fmt: skip
-    """A metric that the verdict judges and the comparison of methods leaves out."""
-    return Metric(
-        key=key, label=label, unit=unit, measure=measure, too_much=much, too_little=little,
-        compared=False, **more,
-    )  # fmt: skip
+def _of_verdict(key: str, label: str, unit: str, measure: Measure, **more: Any) -> Metric:
+    """Return a metric that the verdict judges and the comparison of methods leaves out."""
+    return Metric(key=key, label=label, unit=unit, measure=measure, compared=False, **more)
 
 
-def _ended(key: str, label: str, end: int, much: str, little: str) -> Metric:
+def _share_of_endings(key: str, label: str, end: int, much: str, little: str) -> Metric:
     return _of_verdict(
-        key, label, "share", lambda e: (ending(e.rollouts) == end).astype(float), much, little,
-        share=True, is_ending=True, about=GOAL,
-    )  # fmt: skip
-
-
-def _of_order(key: str, name: str, about: str, label: str = "") -> Metric:
-    """A measure of order in time that has a row of its own where it is what matters."""
-    one = MEASURES[name]
-    return _of_verdict(
-        key, label or name[:1].upper() + name[1:], one.unit, _order_of(name), one.much, one.little,
-        about=about, of_order=name,
-    )  # fmt: skip
-
-
-def _order_of(name: str) -> Measure:
-    return lambda episodes: episodes.order.column(name)
+        key,
+        label,
+        "share",
+        lambda e: (ending(e.rollouts) == end).astype(float),
+        too_much=much,
+        too_little=little,
+        tolerance=OF_SHARE,
+        by_time=False,
+        share=True,
+        is_ending=True,
+        about=GOAL,
+    )
 
 
 METRICS = [
     Metric(key="reached", label="Target reached", unit="share", share=True, is_ending=True,
-           measure=lambda e: e.rollouts.captured.astype(float), about=GOAL,
+           measure=lambda e: e.rollouts.captured.astype(float), about=GOAL, by_time=False,
+           tolerance=OF_SHARE, heading="target\nreached, %",
            too_much="reaches the target too often", too_little="reaches the target too rarely",
-           heading="target\nreached, %",
            caption="Share of episodes in which a pursuer reached the target (the moth the source), "
                    "all episodes."),
-    Metric(key="path_length", label="Path length", unit=ARENA_UNITS, planned=True,
+    Metric(key="path_length", label="Path length", unit=ARENA_UNITS, planned=True, by_time=False,
            measure=lambda e: e.path_length, noun="path lengths", heading="path length",
            too_much="paths too long", too_little="paths too short",
            caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, "
                    "and captures only."),
     Metric(key="duration", label="Duration", unit="s", measure=lambda e: e.duration, planned=True,
            too_much="episodes too long", too_little="episodes too short", noun="durations",
-           heading="duration, s", caption="Duration per episode: all episodes, and captures only."),
+           heading="duration, s", by_time=False,
+           caption="Duration per episode: all episodes, and captures only."),
     Metric(key="dtw", label="DTW distance", unit=ARENA_UNITS, of_recordings=False, planned=True,
-           measure=lambda e: e.dtw[0], heading="DTW distance",
+           measure=lambda e: e.dtw[0], heading="DTW distance", by_time=False,
            caption="Distance of each rollout to the demonstration that it started from after the "
                    "best alignment in time (dynamic time warping, DTW), mean over the pursuers (or "
                    "the moth's), summed along the warping path: all episodes, and captures only."),
     Metric(key="dtw_per_step", label="DTW distance per step", unit=ARENA_UNITS,
            measure=lambda e: e.dtw[1], of_recordings=False),
-    _ended("target_out", "Ended by the target leaving", TARGET_OUT,
-           "the target leaves too often", "the target leaves too rarely"),
-    _ended("pursuer_out", "Ended by a pursuer leaving", PURSUER_OUT,
-           "a pursuer leaves too often", "a pursuer leaves too rarely"),
+    _share_of_endings("target_out", "Ended by the target leaving", TARGET_OUT,
+                      "the target leaves too often", "the target leaves too rarely"),
+    _share_of_endings("pursuer_out", "Ended by a pursuer leaving", PURSUER_OUT,
+                      "a pursuer leaves too often", "a pursuer leaves too rarely"),
     _of_verdict("leaving", "Somebody outside the arena", "share",
-                lambda e: e.outside.astype(float),
-                "leaves the arena", "leaves the arena too rarely", share=True, is_ending=True),
+                lambda e: e.outside.astype(float), share=True, is_ending=True, by_time=False,
+                tolerance=OF_SHARE, too_much="leaves the arena",
+                too_little="leaves the arena too rarely"),
     _of_verdict("mean_speed", "Mean speed", f"{ARENA_UNITS}/s", lambda e: e.motion[0],
-                "too fast", "too slow", noun="mean speeds"),
+                too_much="too fast", too_little="too slow", noun="mean speeds"),
     _of_verdict("median_speed", "Median speed", f"{ARENA_UNITS}/s", lambda e: e.motion[1],
-                "too fast", "too slow"),
-    _of_verdict("slow_steps", "Slow steps", "share", lambda e: e.motion[2],
-                "stands still too often", "stands still too rarely", share=True),
+                too_much="median speed too high", too_little="median speed too low"),
+    _of_verdict("slow_steps", "Slow steps", "share", lambda e: e.motion[2], share=True,
+                tolerance=OF_SHARE, too_much="stands still too often",
+                too_little="stands still too rarely"),
     _of_verdict("turning", "Turning", "rad/s", lambda e: e.motion[3],
-                "turns too much", "turns too little"),
-    _of_order("nearest_neighbour", "nearest neighbour", GROUP),
-    _of_order("near_neighbour", "5 % nearest neighbour", GROUP, "Nearest neighbour, 5 % quantile"),
-    _of_order("extent", "extent of the group", GROUP),
-    _of_order("polarisation", "polarisation", GROUP),
-    _of_order("milling", "milling", GROUP),
-    _of_order("leadership_lag", "leadership lag", GROUP),
-    _of_order("speed_correlation", "speed with the others", GROUP, "Speed correlation"),
-    _of_order("displacement", "displacement in", ANIMAL),
-    _of_order("turn_autocorrelation", "turn autocorrelation at", ANIMAL),
-    _of_order("bouts", "length of bouts of motion", ANIMAL),
-    _of_order("rests", "length of rests", ANIMAL),
+                too_much="turns too much", too_little="turns too little"),
 ]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
 TARGET_REACHED, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP = METRICS[:5]
 
 
-def judged_metrics(recorded: Episodes) -> list[Metric]:
-    """Return the metrics that a verdict judges, of this kind of recordings: endings first.
+def _order_of(name: str) -> Measure:
+    return lambda episodes: episodes.order.column(name)
 
-    Of several lags, each has a metric.
+
+def _of_order() -> dict[str, Metric]:
+    """Return the metrics of ``measures.csv`` by the name that ``order_in_time`` gives them."""
+    file = Path(__file__).with_name("measures.csv")
+    return {
+        row["name"]: _of_verdict(
+            row["key"],
+            row["name"][:1].upper() + row["name"][1:],
+            row["unit"],
+            _order_of(row["name"]),
+            kind=row["kind"],
+            tolerance=row["tolerance"],
+            about=row["about"],
+            too_much=row["much"],
+            too_little=row["little"],
+            whole=bool(row["whole"]),
+        )
+        for row in csv.DictReader(file.read_text("utf-8").splitlines())
+    }
+
+
+ORDER_METRICS = _of_order()
+"""By name; those at several lags end in *in* or *at*."""
+
+
+def order_metrics(prepared: Prepared) -> list[Metric]:
+    """Return a metric for each column of order in time, at each lag and of each individual.
+
+    Those about this kind of recordings have rows of their own in the verdict, and no kind.
     """
-    chosen = []
-    for metric in _of_kind(recorded):
-        if not metric.of_recordings:
-            continue
-        if metric.of_order.endswith((" in", " at")):
-            for lag in lags_for(median_steps(recorded), recorded.dt):
-                after = f" {seconds_of(lag, recorded.dt)}"
-                name = metric.of_order + after
-                chosen.append(
-                    replace(
-                        metric, key=metric.key + after.replace(" ", "_"),
-                        label=metric.label + after, of_order=name, measure=_order_of(name),
-                    )
-                )  # fmt: skip
-        else:
-            chosen.append(metric)
-    return sorted(chosen, key=lambda metric: not metric.is_ending)
+    about = _kind_of(prepared.demos)
+    found = []
+    for name in prepared.order(prepared.recorded).names:
+        plain = plain_name(name)
+        metric = ORDER_METRICS[plain]
+        found.append(
+            replace(
+                metric,
+                key=metric.key + name.removeprefix(plain).replace(",", "").replace(" ", "_"),
+                label=name[:1].upper() + name[1:],
+                measure=_order_of(name),
+                kind="" if metric.about and metric.about == about else metric.kind,
+            )
+        )
+    return found
+
+
+def judged_metrics(prepared: Prepared) -> list[Metric]:
+    """Return the metrics that a verdict judges, of this kind of recordings.
+
+    Endings come first, then other metrics with rows of their own, then those that share one.
+    """
+    own = [metric for metric in _about(prepared.demos) if metric.of_recordings]
+    order = order_metrics(prepared)
+    own += [metric for metric in order if not metric.kind]
+    shared = [metric for kind in KINDS for metric in order if metric.kind == kind]
+    return sorted(own, key=lambda metric: not metric.is_ending) + shared
 
 
 def measures(prepared: Prepared, rollouts: Rollouts) -> dict[str, Floats]:
     """Return every judged metric of every episode, lengths in the recordings' unit."""
     episodes, scale = prepared.episodes(rollouts), prepared.unit.per_arena_unit
     return {
-        metric.key: (scale if metric.is_length else 1.0) * metric.measure(episodes)
-        for metric in judged_metrics(prepared.demos)
+        metric.key: np.asarray((scale if metric.is_length else 1.0) * metric.measure(episodes))
+        for metric in judged_metrics(prepared)
     }
 
 
 def compared_metrics(recorded: Episodes) -> list[Metric]:
     """Return the metrics that methods are compared by, of this kind of recordings."""
-    return [metric for metric in _of_kind(recorded) if metric.compared]
+    return [metric for metric in _about(recorded) if metric.compared]
 
 
-def _of_kind(recorded: Episodes) -> list[Metric]:
-    kind = GROUP if recorded.is_group else ANIMAL if recorded.num_individuals == 1 else ""
-    return [one for one in METRICS if one.about in ("", GOAL if recorded.has_goal else kind)]
+def _kind_of(recorded: Episodes) -> str:
+    if recorded.has_goal:
+        return GOAL
+    return GROUP if recorded.is_group else ANIMAL if recorded.num_individuals == 1 else ""
+
+
+def _about(recorded: Episodes) -> list[Metric]:
+    return [one for one in METRICS if one.about in ("", _kind_of(recorded))]
 
 
 def add_metric(metric: Metric) -> None:

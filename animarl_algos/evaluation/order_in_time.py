@@ -7,11 +7,9 @@ left. A measure that an episode is too short for is NaN.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,37 +27,6 @@ LOW = 0.05  # quantile of the distance to the nearest neighbour
 LEAD, DELAYS = 2.0, 10  # by which an animal may lead [s]; delays that are tried, to either side
 ROUNDING = 1e-24  # variance that is rounding alone: of a constant speed, which correlates with none
 NEAR_WALL = 0.1  # of the arena's size: so near a wall counts as being at it
-KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
-
-
-@dataclass(frozen=True)
-class Measure:
-    """What is measured, and what is said of it.
-
-    ``much`` and ``little`` are what the verdict says where rollouts have more of it, or less; where
-    they are empty, its name with *too high* and *too low*. What has no ``unit`` may be zero.
-    ``whole``: it stands for whole episodes in the realism score, as do all measures of order.
-    """
-
-    name: str
-    kind: str
-    unit: str = ""
-    much: str = ""
-    little: str = ""
-    whole: bool = False
-
-    def words(self, more: bool) -> str:
-        """Return what the verdict says."""
-        said = self.much if more else self.little
-        return said or f"{self.name} too {'high' if more else 'low'}"
-
-
-_, *_ROWS = csv.reader(Path(__file__).with_name("measures.csv").read_text("utf-8").splitlines())
-MEASURES = {
-    name: Measure(name, kind, unit, much, little, bool(whole))
-    for name, kind, unit, much, little, whole in _ROWS
-}
-"""By name, from ``measures.csv``; the names of those at several lags end in *in* or *at*."""
 
 
 @dataclass(frozen=True)
@@ -149,23 +116,21 @@ def angle(first: Floats, second: Floats) -> Floats:
 class EpisodeMeasures:
     """Measures of episodes, ``values`` ``(episodes, measures)``.
 
-    The names of ``measures`` hold the lag, and the individual where there are several.
+    ``names`` hold the lag, and the individual where there are several.
     """
 
-    measures: tuple[Measure, ...]
+    names: tuple[str, ...]
     values: Floats
-
-    @property
-    def names(self) -> list[str]:
-        return [one.name for one in self.measures]
-
-    @property
-    def kinds(self) -> list[str]:
-        return [one.kind for one in self.measures]
 
     def column(self, name: str) -> Floats:
         """Return the measure of that name of every episode, ``(episodes,)``."""
         return np.asarray(self.values[:, self.names.index(name)])
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a measure without its lag and its individual."""
+    name = name.partition(", ")[0]
+    return name.rsplit(" ", 2)[0] if name.endswith(" s") else name
 
 
 def lags_for(steps: float, dt: float) -> tuple[int, ...]:
@@ -219,12 +184,12 @@ def order_measures(
                 found.append(("spread of speed between animals", own))
                 found += _groups(series, rollouts.dt, lags[-1])
             parts.append(np.concatenate([values for _, values in found], axis=1))
-    measures = []
-    for name, values in found:
-        measure = MEASURES.get(name) or MEASURES[name.rsplit(" ", 2)[0]]  # at a lag
-        who = rollouts.individuals if values.shape[1] > 1 else ("",)
-        measures += [replace(measure, name=f"{name}, {one}" if one else name) for one in who]
-    return EpisodeMeasures(tuple(measures), np.concatenate(parts))
+    names = [
+        f"{name}, {one}" if one else name
+        for name, values in found
+        for one in (rollouts.individuals if values.shape[1] > 1 else ("",))
+    ]
+    return EpisodeMeasures(tuple(names), np.concatenate(parts))
 
 
 def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[str, Floats]]:

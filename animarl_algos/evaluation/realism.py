@@ -17,7 +17,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation import order_in_time, statistics
-from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER, PLACE, Series
+from animarl_algos.evaluation.metrics import (
+    INTERACTIVE,
+    KINEMATIC,
+    ORDER,
+    ORDER_METRICS,
+    PLACE,
+)
+from animarl_algos.evaluation.order_in_time import Series, plain_name
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Draws, Floats, Interval, Ints
@@ -199,11 +206,11 @@ def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
     for (name, kind), parts in gathered.items():
         yield Component(name, kind, *(np.concatenate(side) for side in zip(*parts)))
     measured = prepared.order(rollouts)
-    for one, values in zip(measured.measures, measured.values.T):
-        known = np.flatnonzero(np.isfinite(values))
-        if one.kind == ORDER or one.whole:
+    for name, values in zip(measured.names, measured.values.T):
+        known, metric = np.flatnonzero(np.isfinite(values)), ORDER_METRICS[plain_name(name)]
+        if metric.kind == ORDER or metric.whole:
             alone = np.zeros(len(known), dtype=np.int64)
-            yield Component(one.name, one.kind, values[known], known, alone)
+            yield Component(name, metric.kind, values[known], known, alone)
 
 
 def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str, Floats]]:

@@ -24,7 +24,7 @@ RESAMPLES = 10_000
 CONFIDENCE = 0.95
 TAILS = (50.0 * (1 - CONFIDENCE), 50.0 * (1 + CONFIDENCE))  # [%]
 FEWEST_RESAMPLED = 8  # demonstrations; of fewer, resamples often have no spread to divide by
-FEWEST_ALONE = 20  # ... and of fewer than these a margin is at least that of Student's t
+FEWEST_ALONE = 50  # ... and up to these a margin is at least that of Student's t
 FARTHEST = 2.0  # times as far as the farthest demonstration, or Student's t, is the longest margin
 
 NO_VALUE = "no episode counts"
@@ -119,6 +119,14 @@ class Cells:
             return np.zeros(self.sums.shape)
         left = self.sums - self.sums.sum() / total * self.counts
         return np.asarray(left * (left.size / total))
+
+    def by_unit(self, unit: Ints) -> Cells:
+        """Join what is of one recording; ``unit`` ``(demos,)`` is the recording of each."""
+        owner = np.zeros((len(unit), int(unit.max(initial=-1)) + 1))
+        owner[np.arange(len(unit)), unit] = 1.0
+        if not self.sums.size:
+            return self
+        return Cells(self.sums @ owner, self.counts @ owner, self.lacking)
 
     def of(self, demos: NDArray[np.bool_]) -> Cells:
         """Those of some demonstrations, without seeds that have none of them."""
@@ -354,7 +362,7 @@ def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
     found = []
     for quantile, farthest in sides:
         margin = np.where(defined, np.maximum(np.where(defined, quantile, 0.0), 0.0) * error, by_t)
-        margin = np.maximum(margin, by_t) if number < FEWEST_ALONE else margin
+        margin = np.maximum(margin, by_t) if number <= FEWEST_ALONE else margin
         found.append(np.minimum(margin, np.maximum(FARTHEST * farthest, by_t)))
     return found[0], found[1]
 
@@ -399,7 +407,19 @@ def share_margins(share: float, values: Floats) -> tuple[float, float]:
     return max(share - centre + half, 0.0), max(centre + half - share, 0.0)
 
 
-def _t(freedom: float | Floats) -> Floats:
+def student_t(probability: float, freedom: float | Floats) -> Floats:
+    """Return the quantile of Student's t."""
     from scipy.special import stdtrit
 
-    return np.asarray(stdtrit(freedom, 0.5 + CONFIDENCE / 2))
+    return np.asarray(stdtrit(freedom, probability))
+
+
+def normal(probability: float) -> float:
+    """Return the quantile of the normal distribution."""
+    from scipy.special import ndtri
+
+    return float(ndtri(probability))
+
+
+def _t(freedom: float | Floats) -> Floats:
+    return student_t(0.5 + CONFIDENCE / 2, freedom)

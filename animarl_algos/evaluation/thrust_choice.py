@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.classifier import PART, followed, tell_apart, window_features
+from animarl_algos.evaluation.classifier import PART, classify, tracked_rollouts, window_features
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, resting_step
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
@@ -47,7 +47,7 @@ def tracking_floor(
     """
     prepared = Prepared(seen, comparison_smoothing(seen))
     walls = arena_of(seen) if arena is None else arena
-    tracked = followed(seen, track(seen, locomotion, walls, bodies=bodies))
+    tracked = tracked_rollouts(seen, track(seen, locomotion, walls, bodies=bodies))
     rest = resting_step(Rollouts.from_demonstrations(seen))
     block = PART if seen.num_episodes < FEW else None
     own, other = (
@@ -56,7 +56,7 @@ def tracking_floor(
     )
     if block is None:
         own, other = own.by_recording(seen), other.by_recording(seen)
-    return tell_apart(own, other, np.random.default_rng(seed), deals=1).auc
+    return classify(own, other, np.random.default_rng(seed), deals=1).auc
 
 
 def states_floor(seen: Demonstrations, fits: Mapping[int, StateFit], *, seed: int = 0) -> Interval:

@@ -1,10 +1,9 @@
-"""Does a simulator move like the recordings? One row per question, one judgement for all.
+"""Does a simulator move like the recordings? One row per question, one word for each.
 
-Every row compares recordings and rollouts from the same starts, says how far apart they are, what
-chance alone would give, and puts it in words: endings, motion and order in time in
-:mod:`animarl_algos.evaluation.verdict_rows`, two judges in
-:mod:`animarl_algos.evaluation.classifier`. Beside them stands the realism score, how likely the
-recordings are under the rollouts (:mod:`animarl_algos.evaluation.realism`).
+A row is a difference, simulated minus recorded, with an interval and a tolerance, from which its
+word follows (:mod:`animarl_algos.evaluation.verdict_rows`).
+Two classifiers are rows of the same kind (:mod:`animarl_algos.evaluation.classifier`). Beside them
+stands the realism score (:mod:`animarl_algos.evaluation.realism`).
 """
 
 from __future__ import annotations
@@ -20,32 +19,39 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import statistics
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE, followed, judges
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE, classify_all, tracked_rollouts
 from animarl_algos.evaluation.metrics import measures
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints, interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, interval
 from animarl_algos.evaluation.verdict_rows import (
-    BY_LITTLE,
+    ALIKE,
+    AS_BUILT,
+    COLOURS,
     CONTROLS,
     DIFFERS,
-    OUTCOMES,
-    SAME,
+    JUDGEMENTS,
+    LITTLE,
     UNKNOWN,
-    JointTests,
+    Comparison,
+    Questions,
     Row,
-    verdict_rows,
+    classifier_row,
+    farness,
+    lower_first,
+    rounded_count,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import Tracking
 
-FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
-WORSE = "worse than untrained"
+MIN_TEST_RECORDINGS = 10  # below, runs are cross-validated where that makes them more
+MOST_COMPLAINTS = 3  # of one sentence
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
-WORDS = {"reason", "gate", "unit", "covers"}
+NOTICED = ("mean_speed", "duration", "turning", "nearest_neighbour")  # changes beside the headline
+TEXT_COLUMNS = {"reason", "gate", "unit", "covers", "verdict"}
 HALF = 0.5  # of the recorded value: a larger gap is implausible
 LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
 
@@ -57,52 +63,99 @@ class Verdict:
     Parameters
     ----------
     table
-        One row per question, its columns the fields of
-        :class:`~animarl_algos.evaluation.verdict_rows.Row`. In the rows of the two judges,
-        ``recorded`` and ``null`` are those of recordings among themselves.
-    words
-        What differs, in the order of its weight; where nothing does, what differs by little; where
-        nothing does that either, ``("not distinguishable",)``.
+        One row per question, its columns the fields of :class:`Row`.
     learner
         The method.
-    starts, rollouts
+    recordings, starts, rollouts
         How many count; of a policy that always does the same, one rollout a start.
-    too_little
-        Why there is too little data to say anything; empty where there is enough.
     smoothing
         Frames of the moving average that both sides went through.
     areas
-        By judge and name the areas that theirs are read beside
-        (:class:`~animarl_algos.evaluation.classifier.Telling`).
+        By classifier and name the areas that theirs are read beside
+        (:class:`~animarl_algos.evaluation.classifier.ClassifierResult`).
     components
         The realism score, see :func:`~animarl_algos.evaluation.realism.realism`.
     importance
         By kind of feature, how much of the area rests on it.
+    worse_than_untrained
+        Whether an untrained network comes nearer to the recordings.
     """
 
     table: pd.DataFrame
-    words: tuple[str, ...]
     learner: str
+    recordings: int
     starts: int
     rollouts: int
-    too_little: str = ""
     smoothing: int = 1
     areas: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
     components: pd.DataFrame | None = None
     importance: Mapping[str, float]
+    worse_than_untrained: bool = False
 
     @property
-    def overall(self) -> str:
-        """All words in one line."""
-        return ", ".join(self.words)
+    def counts(self) -> dict[str, int]:
+        """How many questions have each word."""
+        return {word: int((self.table["judgement"] == word).sum()) for word in JUDGEMENTS}
 
     @property
     def judgement(self) -> str:
-        """The headline, which says no more than the weakest row."""
-        if self.too_little:
-            return UNKNOWN
+        """The word for all questions: what differs is said, then what is not known."""
         found = set(self.table["judgement"])
-        return next(one for one in (DIFFERS, UNKNOWN, BY_LITTLE, SAME) if one in found)
+        return next((one for one in (DIFFERS, UNKNOWN, LITTLE) if one in found), ALIKE)
+
+    @property
+    def colour(self) -> str:
+        """Red where a row differs, grey where something is not known, green where neither is."""
+        colour = COLOURS[self.judgement]
+        return COLOURS[ALIKE] if self.judgement == LITTLE else colour
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """What differs, each thing once, farthest from alike first; classifiers come last.
+
+        Who left is in the table where somebody was outside the arena.
+        """
+        rows = sorted(self.rows(DIFFERS), key=farness, reverse=True)
+        rows.sort(key=lambda row: row.measure in (AUC, SEQUENCE))
+        if any(row.measure == "leaving" for row in rows):
+            rows = [row for row in rows if row.measure not in ("target_out", "pursuer_out")]
+        return tuple(dict.fromkeys(row.verdict for row in rows))
+
+    @property
+    def headline(self) -> str:
+        """How many questions have which word, what differs, and how many recordings would tell."""
+        counts, total = self.counts, len(self.table)
+        parts = []
+        if counts[ALIKE]:
+            parts.append(_count_words(counts[ALIKE], "are alike", "is alike"))
+        if counts[LITTLE]:
+            parts.append(_count_words(counts[LITTLE], "differ a little", "differs a little"))
+        if counts[DIFFERS]:
+            first = self.complaints[:MOST_COMPLAINTS]
+            more = len(self.complaints) - len(first)
+            said = "; ".join(first) + (f"; and {more} more" if more else "")
+            parts.append(f"{_count_words(counts[DIFFERS], 'differ', 'differs')} ({said})")
+        if counts[UNKNOWN]:
+            said = _count_words(counts[UNKNOWN], "are not known", "is not known")
+            many = f"{self.recordings} recording{'s' * (self.recordings != 1)}"
+            said += f": {many} {'are' if self.recordings != 1 else 'is'} too few"
+            needed = sorted(row.needed for row in self.rows(UNKNOWN) if math.isfinite(row.needed))
+            if needed:
+                half, most = needed[(len(needed) - 1) // 2], needed[-1]
+                said += f"; about {rounded_count(half):,} would tell"
+                if rounded_count(most) > rounded_count(half):
+                    said += f" half of them, about {rounded_count(most):,} all"
+            parts.append(said)
+        return f"Of {total} question{'s' * (total != 1)} {', '.join(parts)}."
+
+    @property
+    def detectable(self) -> dict[str, tuple[float, str]]:
+        """The smallest changes that these recordings show, by label: part of the recorded mean."""
+        found = {}
+        for row in self.rows():
+            if row.measure in NOTICED and row.recorded and math.isfinite(row.detectable):
+                found[lower_first(row.label)] = (row.detectable / abs(row.recorded), row.unit)
+        return found
 
     @property
     def auc(self) -> Interval:
@@ -122,8 +175,13 @@ class Verdict:
         total = self.components.iloc[-1]
         return {name: float(total[name]) for name in REFERENCES if name in total}
 
+    def rows(self, *words: str) -> list[Row]:
+        """Return the rows, or those with one of these words."""
+        rows = [Row(**{str(k): v for k, v in row.items()}) for row in self.table.to_dict("records")]
+        return [row for row in rows if not words or row.judgement in words]
+
     def row(self, measure: str) -> dict[str, Any]:
-        """The row of one measure, by column."""
+        """Return the row of one measure, by column."""
         chosen = self.table[self.table["measure"] == measure]
         return {str(column): chosen[column].iloc[0] for column in chosen}
 
@@ -134,8 +192,9 @@ class Verdict:
             if (table := plain.pop(key)) is not None:
                 with write_then_rename(Path(folder) / file) as part:
                     table.to_csv(part, index=False)
+        said = {"headline": self.headline, "colour": self.colour, "counts": self.counts}
         with write_then_rename(Path(folder) / "verdict.json") as part:
-            part.write_text(json.dumps(_plain(plain), indent=2))
+            part.write_text(json.dumps(said | _plain(plain), indent=2))
 
     @classmethod
     def load(cls, folder: str | Path) -> Verdict:
@@ -146,18 +205,26 @@ class Verdict:
             for name, ends in some.items():
                 value, low, high = (math.nan if end is None else end for end in ends)
                 some[name] = Interval(value, low, high)
-        plain |= {"table": read_table(folder / "verdict.csv"), "words": tuple(plain["words"])}
+        plain = {key: plain[key] for key in plain if key not in ("headline", "colour", "counts")}
         file = folder / "realism.csv"
-        return cls(components=read_table(file) if file.exists() else None, **plain)
+        return cls(
+            table=read_table(folder / "verdict.csv"),
+            components=read_table(file) if file.exists() else None,
+            **plain,
+        )
+
+
+def _count_words(count: int, many: str, one: str) -> str:
+    return f"{count} {one if count == 1 else many}"
 
 
 def read_table(file: Path) -> pd.DataFrame:
-    """Read a table as it was written: a column of :data:`WORDS` may be empty throughout."""
+    """Read a table as it was written: a column of ``TEXT_COLUMNS`` may be empty throughout."""
     try:
         table = pd.read_csv(file, float_precision="round_trip")
     except pd.errors.EmptyDataError:
         return pd.DataFrame()
-    for words in WORDS & set(table):
+    for words in TEXT_COLUMNS & set(table):
         table[words] = table[words].astype(object).fillna("")
     return table
 
@@ -170,24 +237,18 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def compared(
-    recorded: Demonstrations, rollouts: Rollouts, seed: int
-) -> tuple[Prepared, Rollouts, JointTests, Ints, list[np.random.Generator]]:
-    """Recordings and the rollouts that count, their tests, what is resampled, and random streams.
-
-    What is resampled ``(starts,)`` are recordings; starts where each is of its own, or all of one.
-    """
+def compare(
+    recorded: Demonstrations, rollouts: Rollouts, seed: int, questions: Questions = AS_BUILT
+) -> tuple[Comparison, list[np.random.Generator]]:
+    """Compare recordings with the rollouts that count, and return the other random streams."""
     if rollouts.individuals != recorded.individuals or rollouts.demo.max() >= len(recorded):
         raise InputError(
             f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
             "compare them with the demonstrations they started from"
         )
     prepared = Prepared(recorded, comparison_smoothing(recorded))
-    names, group = np.unique(recorded.recording, return_inverse=True)
-    own = len(names) in (1, len(recorded))
-    streams, counted = np.random.default_rng(seed).spawn(7), prepared.counted(rollouts)
-    tests = JointTests.of(prepared, counted, None if own else group, streams[0])
-    return prepared, counted, tests, np.arange(len(recorded)) if own else group, streams
+    first, *streams = np.random.default_rng(seed).spawn(6)
+    return Comparison.of(prepared, prepared.counted(rollouts), first, questions), streams
 
 
 def verdict(
@@ -198,6 +259,7 @@ def verdict(
     floor: Tracking | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
+    questions: Questions = AS_BUILT,
 ) -> Verdict:
     """Judge a method by its rollouts.
 
@@ -221,68 +283,54 @@ def verdict(
         which does not see its neighbours.
     references
         Other recordings, for recordings against recordings; by default halves of ``recorded``.
+    questions
+        Tolerances and primary measures of the user's choice.
 
     All positions go through the moving average of
     :func:`~animarl_algos.evaluation.prepared.comparison_smoothing` first.
     """
     baselines = baselines or {}
-    prepared, counted, tests, unit, streams = compared(recorded, rollouts, seed)
+    compared, streams = compare(recorded, rollouts, seed, questions)
+    prepared, counted, unit = compared.prepared, compared.counted, compared.unit
     unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None
-    rows = verdict_rows(tests, streams[0], unseeing)
+    rows = list(compared.rows(unseeing))
     random = baselines.get("random")
     sides = {} if random is None else {"ceiling": random.factual(recorded)}
-    sides |= {} if floor is None else {"floor": followed(recorded, floor)}
+    sides |= {} if floor is None else {"floor": tracked_rollouts(recorded, floor)}
     beside = {name: prepared.filtered(one) for name, one in sides.items()}
-    asked = [*judges(prepared, counted, beside, references, unit, (*streams[1:3], streams[4]))]
-    rows += [row for row, _ in asked]
+    answers = list(classify_all(prepared, counted, beside, references, unit, streams[:3]))
+    rows += [classifier_row(*answer) for answer in answers]
     others = None
     if references is not None:
         others = prepared.filtered(Rollouts.from_demonstrations(references))
     components = realism(
-        prepared, counted, streams[5], references=others, random=beside.get("ceiling")
+        prepared, counted, streams[3], references=others, random=beside.get("ceiling")
     )
-    words, untrained = _overall(rows), baselines.get("untrained")
-    if untrained is not None and words != (SAME,):
-        # By the energy score of the summary; the interval over starts must exclude no difference.
+    untrained = baselines.get("untrained")
+    worse = False
+    if untrained is not None:
+        # By the energy score of the summary; the interval over recordings must exclude zero.
         true = summary_table(prepared, prepared.recorded)
         ours, other = (
             statistics.energy_scores(summary_table(prepared, one), one.demo, true)
             for one in (counted, prepared.counted(untrained))
         )
-        apart = statistics.single_cells((ours - other)[None])
-        if statistics.bootstrap_mean(apart, streams[3]).low > 0:
-            words = (WORSE, *words)
+        apart = statistics.single_cells((ours - other)[None]).by_unit(unit)
+        worse = statistics.bootstrap_mean(apart, streams[4]).low > 0
     table = pd.DataFrame(rows)
     starts = np.unique(counted.demo)
-    numbers = {"test start": len(starts), "recording": len(np.unique(recorded.recording[starts]))}
-    few = [f"{n} {name}{'s' * (n != 1)}" for name, n in numbers.items() if n < FEWEST]
     return Verdict(
         table=table.drop(columns=[name for name in CONTROLS if table[name].isna().all()]),
-        words=words,
         learner=rollouts.method,
+        recordings=len(np.unique(unit[starts])),
         starts=len(starts),
         rollouts=int(np.count_nonzero(~counted.copies)),
-        too_little=f"{few[0]}, and {FEWEST} are needed" if few else "",
         smoothing=prepared.smoothing,
-        areas={row.measure: dict(found.areas) for row, found in asked},
+        areas={key: dict(found.areas) for key, _, found in answers},
         components=components,
-        importance=asked[0][1].importance,
+        importance=answers[0][2].importance,
+        worse_than_untrained=bool(worse),
     )
-
-
-def _overall(rows: list[Row]) -> tuple[str, ...]:
-    """Return what differs (else what differs by little), each thing once.
-
-    The judges and the endings together come in only if nothing else is said.
-    """
-    for judgement in (DIFFERS, BY_LITTLE):
-        plain = {row.measure: row.verdict for row in rows if row.judgement == judgement}
-        rest = [plain.pop(key) for key in (OUTCOMES, AUC, SEQUENCE) if key in plain]
-        if "leaving" in plain:  # who left is in the table
-            plain = {k: v for k, v in plain.items() if k not in ("target_out", "pursuer_out")}
-        if plain or rest:
-            return tuple(dict.fromkeys(plain.values())) or tuple(rest)
-    return (SAME,)
 
 
 def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
@@ -294,11 +342,11 @@ def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
 def implausible(verdict: Verdict) -> list[str]:
     """What is off by more than half of what was recorded, and whether training made it worse.
 
-    Median speed, duration and the share of each ending, where chance does not explain it, are
+    Median speed, duration and the share of each ending, where they are not merely unknown, are
     looked at. One sentence each; none where nothing is.
     """
     found = []
-    if WORSE in verdict.words:
+    if verdict.worse_than_untrained:
         found.append(
             "An untrained network comes nearer to the recordings than the trained one: train "
             "longer, on more episodes, or with another learner, before anything is concluded."
@@ -313,7 +361,7 @@ def implausible(verdict: Verdict) -> list[str]:
         least = max(HALF * abs(recorded), LEAST_SHARE if key in shares else 0.0)
         if not abs(simulated - recorded) > least:
             continue
-        if key in shares and row["judgement"] == SAME:  # few episodes are off by half by chance
+        if key in shares and row["judgement"] != DIFFERS:  # few are off by half by chance
             continue
         values = (
             f"{100 * simulated:.0f} % simulated, {100 * recorded:.0f} % recorded"

@@ -1,266 +1,81 @@
-"""The rows of a verdict: every metric and every kind of order, judged by one test for all.
+"""The rows of a verdict: one difference, one interval, one tolerance and one word each.
 
-Rows have one type, :class:`Row`. A row is not distinguishable from the recordings, differs by
-little (``LITTLE``, ``LITTLE_SHARE``), differs, or has too little data to say. What is chance and
-what is not is decided by :func:`exchange_test` over all measures of all rows together, so that more
-rows are no more false alarms.
+A row is a difference, simulated minus recorded, with an interval and a tolerance: how much may
+differ and still count as alike. All intervals together hold their true values in 95 % of
+experiments (:mod:`animarl_algos.evaluation.differences`). The word of a row follows from them, as
+in tests of equivalence (Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657; Lakens 2017, Soc.
+Psychol. Personal. Sci. 8, 355):
 
-If a simulator is perfect, the recording of a start is one more rollout of it. So the null of any
-statistic is found by exchanging, start by start, the recording with one of the episodes from there:
-an exact permutation test. Who acts by a fixed rule in a world without chance does the same from a
-start however often it is let go; such copies are one rollout.
+- *alike*: the interval lies within the tolerance;
+- *differs*: it excludes zero, and the estimate is beyond the tolerance;
+- *differs a little*: it excludes zero, and the estimate is within the tolerance;
+- *not known*: it holds zero and reaches beyond the tolerance.
 
-Differences are studentised in every exchange (Chung and Romano 2013, Ann. Stat. 41, 484): where few
-rollouts are far off, as those of animals that freeze, the recordings alone have a small error, and
-those of an exchange a large one. Of several measures the statistic is the largest such difference
-(maxT; Westfall and Young 1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). So
-a perfect simulator has no measure below .05 in 95 % of experiments, however many measures there are
-and however they depend on each other.
+Classifiers are rows of the same kind: alike up to an area of ``LITTLE_AUC``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation import order_in_time, statistics
-from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, judged_metrics, measures
-from animarl_algos.evaluation.prepared import (
-    Prepared,
-    ending,
-    has_ended,
-    log_rank_scores,
-    mean_survival,
+from animarl_algos.evaluation import statistics
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE, ClassifierResult
+from animarl_algos.evaluation.differences import (
+    LEVEL,
+    MIN_RECORDINGS,
+    Differences,
+    Sides,
+    simultaneous_differences,
 )
+from animarl_algos.evaluation.metrics import (
+    ARENA_UNITS,
+    DURATION,
+    GROUP,
+    KINDS,
+    OF_MEAN,
+    OF_SHARE,
+    OF_SPREAD,
+    OF_WIDTH,
+    TOLERANCES,
+    Metric,
+    judged_metrics,
+    measures,
+)
+from animarl_algos.evaluation.prepared import Prepared, has_ended, restricted_mean_scores
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats, Ints, covers
-from animarl_envs.demos.episode import UNFINISHED
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 
-SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
-    "not distinguishable", "differs, but by little", "differs", "too little data to say",
-)  # fmt: skip
-EXCHANGES = 1000
-CHANCE = 0.05
-FLOOR = 0.1  # of the mean variance over exchanges: values of few recordings may be alike
-LEVEL = 0.03  # of all measures together
-ENDINGS_LEVEL = 0.01  # of the endings together
-LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
-LITTLE_SHARE = 0.05  # the same for a share of episodes or steps, and for what has no unit
-OUTCOMES = "outcomes"
+ALIKE, LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
+    "alike",
+    "differs a little",
+    "differs",
+    "not known",
+)
+COLOURS = {ALIKE: "green", LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
+LITTLE_AUC = 0.60  # alike up to here: two normal curves 0.36 standard deviations apart
+POWER = 0.84  # standard errors beyond the margin, for a change to be found in 80 % of experiments
 CONTROLS = ("strangers", "blind")  # columns of a group alone
-KINDS = {
-    order_in_time.KINEMATIC: "Motion of individuals",
-    order_in_time.ORDER: "Order in time",
-    order_in_time.INTERACTIVE: "Reactions to others",
-    order_in_time.PLACE: "Place",
-}
-"""Rows of several measures each; the one that differs most stands for them."""
-MOST_PHRASES = 4  # of one row
-
-
-# -- one test for all measures --------------------------------------------------------------------
-
-
-class Tested(NamedTuple):
-    """A statistic that is zero where nothing differs, beside its null.
-
-    ``null`` is the null's 95 % quantile and ``p`` the share of the null, the value included, that
-    is at least as large.
-    """
-
-    value: float
-    null: float
-    p: float
-
-
-@dataclass(frozen=True, eq=False)
-class Exchanges:
-    """Which episode of every start is called the recorded one.
-
-    Both sides are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth.
-    Episodes are the recordings in their order, then the rollouts in theirs, without those that do
-    not count; ``start`` ``(episodes,)`` is where each began.
-    """
-
-    recorded: Floats
-    simulated: Floats
-    start: Ints
-
-    @classmethod
-    def draw(
-        cls,
-        demo: ArrayLike,
-        starts: int,
-        rng: np.random.Generator,
-        exchanges: int = EXCHANGES,
-        *,
-        copies: ArrayLike = False,
-    ) -> Exchanges:
-        """Exchanges for rollouts from the starts ``demo`` ``(rollouts,)``.
-
-        ``copies`` ``(rollouts,)`` marks those that repeat an earlier one, see
-        :attr:`~animarl_algos.evaluation.rollouts.Rollouts.copies`; by default none does.
-        """
-        demo = np.asarray(demo)
-        if len(demo) == 0 or demo.min() < 0 or demo.max() >= starts:
-            raise InputError(f"rollouts must start from recordings 0 to {starts - 1}")
-        start = np.concatenate([np.arange(starts), demo])
-        recorded, simulated = np.zeros((2, 1 + exchanges, len(start)))
-        rows = np.arange(1 + exchanges)
-        counts = np.ones(len(start), dtype=bool)
-        counts[starts:] = np.logical_not(copies)
-        for one in np.unique(demo):
-            members = np.flatnonzero((start == one) & counts)  # the recording is the first
-            chosen = rng.integers(len(members), size=1 + exchanges)
-            chosen[0] = 0
-            simulated[:, members] = 1.0
-            recorded[rows, members[chosen]] = 1.0
-            simulated[rows, members[chosen]] = 0.0
-        return cls(recorded, simulated, start)
-
-    def chi_squared(self, category: ArrayLike) -> Tested:
-        """Pearson's statistic of categories by recorded and simulated, however small the counts."""
-        category = np.asarray(category)
-        sides = self.simulated, self.recorded
-        sizes = [side.sum(axis=1) for side in sides]
-        total = np.zeros(len(self.recorded))
-        for one in np.unique(category):
-            counts = [side @ (category == one) for side in sides]
-            share = sum(counts) / sum(sizes)
-            for count, size in zip(counts, sizes):
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    total += np.where(share > 0, (count - size * share) ** 2 / (size * share), 0.0)
-        at_least = int(np.count_nonzero(total[1:] >= total[0] * (1 - 1e-9) - 1e-12))
-        null = float(np.quantile(total[1:], 1 - CHANCE))
-        return Tested(float(total[0]), null, (1 + at_least) / len(total))
-
-
-@dataclass(frozen=True)
-class ExchangeTest:
-    """What the joint test found, all ``(measures,)`` but the ``level`` at which measures differ.
-
-    Means of recordings and of rollouts, where every start counts alike; their studentised
-    difference in standard deviations of its null (``statistic``); p corrected for the number of
-    measures (NaN where one is undefined); and how far apart means of this
-    spread may be by chance over all measures together (``null``).
-    """
-
-    recorded: Floats
-    simulated: Floats
-    statistic: Floats
-    adjusted_p: Floats
-    null: Floats
-    level: float = CHANCE
-
-    @property
-    def p(self) -> float:
-        """Of the global test: the least adjusted p."""
-        return self.least_p(slice(None))
-
-    def least_p(self, places: slice | list[int] | Ints) -> float:
-        """Return the least adjusted p of some measures, NaN where none is defined."""
-        p = self.adjusted_p[places]
-        return float(np.nanmin(p)) if np.isfinite(p).any() else math.nan
-
-    @property
-    def differs(self) -> NDArray[np.bool_]:
-        """Which measures differ at the level of all measures together."""
-        return np.asarray(self.adjusted_p <= self.level)
-
-
-def exchange_test(
-    values: Floats,
-    exchanges: Exchanges,
-    *,
-    level: float = CHANCE,
-    group: Ints | None = None,
-    rng: np.random.Generator | None = None,
-) -> ExchangeTest:
-    """Test all measures together.
-
-    Parameters
-    ----------
-    values
-        ``(episodes, measures)``: recordings in their order, then rollouts in theirs. NaN where a
-        measure is undefined in an episode, which then does not count.
-    exchanges, level
-        The null, and the level at which measures are said to differ.
-    group, rng
-        Where several recordings are of one animal: ``(starts,)`` the animal of each. The null then
-        turns the sign of all differences of an animal together (a sign-flip test), as what its
-        recordings have in common is no evidence beyond one animal.
-    """
-    known = np.isfinite(values)
-    filled = np.where(known, values, 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = [
-            side @ filled / (side @ known) for side in (exchanges.recorded, exchanges.simulated)
-        ]
-        gap = means[1] - means[0]
-        square = np.zeros(gap.shape)  # of standard errors, after Welch
-        for side, mean in zip((exchanges.recorded, exchanges.simulated), means):
-            number = side @ known
-            square += np.maximum(side @ filled**2 / number - mean**2, 0.0) / number
-        scale = np.sqrt(square + FLOOR * np.nan_to_num(square[1:]).mean(axis=0))
-        if group is not None and rng is not None:
-            gap, scale = _flipped_gaps(values, exchanges, group, rng), np.ones_like(gap)
-        # Differences of rounding only are none.
-        tiny = 1e-9 * np.maximum(np.nanmax(np.abs(filled), axis=0), 1e-300)
-        some = np.isfinite(gap[1:]).any(axis=0)  # episodes may be too short for a measure
-        varies = np.nanstd(np.where(some, gap[1:], 0.0), axis=0) > tiny
-        studentised = gap / np.where(varies, scale, 1.0)
-        spread = np.nanstd(np.where(varies, studentised[1:], 0.0), axis=0)
-        scaled = np.where(varies, studentised / np.where(varies, spread, 1.0), np.nan)
-    size = np.abs(scaled)
-    defined = np.isfinite(size[0])
-    adjusted, null = np.full((2, values.shape[1]), np.nan)
-    if defined.any():
-        largest = np.nanmax(size[1:, defined], axis=1)
-        reached = largest[:, None] >= size[0, defined] * (1 - 1e-9)
-        adjusted[defined] = (1 + reached.sum(axis=0)) / (1 + len(largest))
-        null = np.where(defined, scale[0] * spread * np.quantile(largest, 1 - level), np.nan)
-    return ExchangeTest(means[0][0], means[1][0], scaled[0], adjusted, null, level)
-
-
-def _flipped_gaps(
-    values: Floats, exchanges: Exchanges, group: Ints, rng: np.random.Generator
-) -> Floats:
-    """Return the mean difference, then those with the signs of whole animals turned."""
-    starts = len(group)
-    known = np.isfinite(values) & (exchanges.simulated[0] > 0)[:, None]
-    owner = np.zeros((starts, len(values)))
-    owner[exchanges.start, np.arange(len(values))] = 1.0
-    rollouts = owner @ np.where(known, values, 0.0) / (owner @ known)
-    apart = rollouts - np.where(exchanges.recorded[0, :starts, None] > 0, values[:starts], np.nan)
-    there = np.isfinite(apart)
-    signs = rng.choice([-1.0, 1.0], size=(len(exchanges.recorded), int(group.max()) + 1))
-    signs[0] = 1.0
-    return np.asarray(signs[:, group] @ np.where(there, apart, 0.0) / there.sum(axis=0))
-
-
-# -- rows -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One row of a verdict, of a leaderboard and of their files.
+    """One row of a verdict and of its files.
 
-    ``measure``, ``label`` and ``unit`` are of the numbers: means of both sides, the ``value`` that
-    the row is about with its 95 % interval from ``low`` to ``high`` (the difference of both sides;
-    the statistic of the endings; the area of a judge), what was tested (``distance``), what chance
-    stays below over all rows together (``null``; of a judge the upper end for recordings among
-    themselves), and the ``p`` that is adjusted for their number. ``judgement`` is one of
-    ``JUDGEMENTS``, ``verdict`` the same in words; ``covers`` says what the interval speaks of,
-    ``reason`` why there is none. ``energy`` compares distributions; beside it stands what
-    recordings of other starts come to.
-    Of a group, ``strangers`` is the recorded mean were its animals of different recordings, and
-    ``blind`` that of rollouts in which none sees its own neighbours.
+    ``recorded`` and ``simulated`` are means, ``value`` their difference with its interval from
+    ``low`` to ``high`` and the ``tolerance`` that it is compared with. Of a classifier, ``value``
+    is the area under its curve, and ``recorded`` that of recordings among themselves.
+    ``judgement`` is one of ``JUDGEMENTS``, ``colour`` its colour, ``verdict`` the same in words.
+    ``needed`` is the number of recordings with which a word that is not known would be, and
+    ``detectable`` the smallest difference that these recordings show in 80 % of experiments.
+    ``covers`` says what the interval speaks of, ``reason`` why there is none. ``primary`` rows have
+    a level of their own. Of a group, ``strangers`` is the recorded mean were its animals of
+    different recordings, and ``blind`` that of rollouts in which none sees its own neighbours.
     """
 
     measure: str
@@ -271,214 +86,330 @@ class Row:
     value: float = math.nan
     low: float = math.nan
     high: float = math.nan
-    distance: float = math.nan
-    null: float = math.nan
-    p: float = math.nan
-    judgement: str = SAME
-    verdict: str = SAME
+    tolerance: float = math.nan
+    judgement: str = UNKNOWN
+    colour: str = COLOURS[UNKNOWN]
+    verdict: str = UNKNOWN
+    needed: float = math.nan
+    detectable: float = math.nan
     covers: str = ""
     reason: str = ""
-    energy: float = math.nan
-    energy_pooled: float = math.nan
+    primary: bool = False
     strangers: float = math.nan
     blind: float = math.nan
 
 
-@dataclass(frozen=True)
-class JointTests:
-    """The joint test of all measures, and that of the endings.
+def judge(value: float, low: float, high: float, tolerance: float, *, zero: float = 0.0) -> str:
+    """Return the word for a difference from ``zero`` with its interval and its tolerance."""
+    if not (math.isfinite(low) and math.isfinite(high) and tolerance > 0):
+        return UNKNOWN
+    if zero - tolerance <= low and high <= zero + tolerance:
+        return ALIKE
+    if low <= zero <= high:
+        return UNKNOWN
+    return DIFFERS if abs(value - zero) > tolerance else LITTLE
 
-    ``counted`` are the rollouts that count, smoothed as the recordings, ``metrics`` the judged
-    ones of both sides. Tested together are the ``columns``: metrics, the spread of those that have
-    one (both without a kind), and order in time, of recordings and then of rollouts.
+
+def judge_area(area: Interval) -> str:
+    """Return the word for the area of a classifier, which only errs below one half."""
+    if not (math.isfinite(area.low) and math.isfinite(area.high)):
+        return UNKNOWN
+    if area.high <= LITTLE_AUC:
+        return ALIKE
+    if area.low > LITTLE_AUC:
+        return DIFFERS
+    return LITTLE if area.low > 0.5 else UNKNOWN
+
+
+def recordings_needed(units: int, margin: float, allowed: float) -> float:
+    """Return with about how many recordings a margin would be as small as ``allowed``."""
+    if not (units > 1 and allowed > 0 and math.isfinite(margin)):
+        return math.nan
+    tail = 1 - LEVEL / 20
+    wider = float(statistics.student_t(tail, units - 1) / statistics.normal(tail))  # of few
+    return max(units + 1.0, math.ceil(units * (margin / wider / allowed) ** 2))
+
+
+def rounded_count(number: float) -> int:
+    """Return a number of recordings with two digits, rounded up."""
+    step = 10 ** max(0, math.floor(math.log10(number)) - 1)
+    return int(math.ceil(number / step) * step)
+
+
+def figures(metric_unit: str, *values: float) -> list[str]:
+    """Return values with as many digits as tell them apart, shares in percent."""
+    scaled = [100 * value if metric_unit == "share" else value for value in values]
+    for digits in (2, 3, 4):
+        told = [_significant(value, digits) for value in scaled]
+        if len(set(told)) == len(told):
+            break
+    return told
+
+
+def _significant(value: float, digits: int) -> str:
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    text = f"{value:,.{min(decimals, 6)}f}"
+    return text if float(text.replace(",", "")) else "0"
+
+
+def unknown_words(needed: float, reason: str = "") -> str:
+    """Return why a row is not known, and with how many recordings it would be."""
+    if reason:
+        return f"{UNKNOWN}: {reason}"
+    if not math.isfinite(needed):
+        return UNKNOWN
+    return f"{UNKNOWN}: about {rounded_count(needed):,} recordings would tell"
+
+
+@dataclass(frozen=True)
+class Questions:
+    """What a user may change of the questions of a verdict.
+
+    Parameters
+    ----------
+    tolerances
+        By the name of a measure, in place of its own of
+        :data:`~animarl_algos.evaluation.metrics.TOLERANCES` and in the same terms.
+    primary
+        Names of measures that were chosen before looking, which have a level of their own.
+    """
+
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    primary: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, tolerances: Iterable[str] = (), primary: Iterable[str] = ()) -> Questions:
+        """Read ``NAME=NUMBER`` of each tolerance, and names.
+
+        Raises InputError if one is no positive number.
+        """
+        numbers = {}
+        for given in tolerances:
+            name, _, text = given.partition("=")
+            try:
+                numbers[name] = float(text)
+            except ValueError:
+                numbers[name] = math.nan
+            if not 0 < numbers[name] < math.inf:
+                raise InputError(
+                    f"--tolerance {given}: give NAME=NUMBER with a number above 0, such as "
+                    "speed=0.2 for a fifth of the recorded mean"
+                )
+        return cls(numbers, tuple(primary))
+
+    def check(self, recorded: Demonstrations) -> None:
+        """Raise InputError if a name is that of no measure of such recordings."""
+        if self.tolerances or self.primary:
+            names = row_names(judged_metrics(Prepared(recorded.select(episodes=np.arange(1)))))
+            for name in (*self.tolerances, *self.primary):
+                resolve(name, names)
+
+
+AS_BUILT = Questions()
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """All metrics of both sides, with their differences.
+
+    ``counted`` are the rollouts that count, smoothed as the recordings; ``unit`` ``(starts,)`` is
+    the recording of each start.
     """
 
     prepared: Prepared
     counted: Rollouts
-    metrics: tuple[Mapping[str, Floats], Mapping[str, Floats]]
-    columns: order_in_time.EpisodeMeasures
-    test: ExchangeTest
-    ends: tuple[NDArray[np.int64], NDArray[np.int64]]
-    endings: Tested
+    unit: Ints
+    metrics: tuple[Metric, ...]
+    found: Differences
+    tolerances: Floats
+    primary: tuple[str, ...]
 
     @classmethod
     def of(
-        cls, prepared: Prepared, counted: Rollouts, group: Ints | None, rng: np.random.Generator
-    ) -> JointTests:
-        """Test; ``group`` ``(starts,)`` is the recording of each start, where some share one."""
-        sides, starts = (prepared.recorded, counted), len(prepared.recorded)
-        measured = (measures(prepared, sides[0]), measures(prepared, counted))
+        cls,
+        prepared: Prepared,
+        counted: Rollouts,
+        rng: np.random.Generator,
+        questions: Questions,
+    ) -> Comparison:
+        """Measure both sides and take their differences."""
+        sides = (prepared.recorded, counted)
+        unit = np.unique(prepared.demos.recording, return_inverse=True)[1].astype(np.int64)
+        starts, alone = len(unit), np.concatenate([np.ones(len(unit), bool), ~counted.copies])
+        measured = [measures(prepared, side) for side in sides]
+        metrics, columns = list[Metric](), list[Floats]()
         ended = np.concatenate([has_ended(side) for side in sides])
-        alone = np.concatenate([np.ones(starts, dtype=bool), ~counted.copies])
-        columns, own = dict[str, Floats](), set()  # order that has rows of its own
-        for metric in judged_metrics(prepared.demos):
+        can_end = prepared.demos.has_goal or bool(ended.any())
+        for metric in judged_metrics(prepared):
             both = np.concatenate([side[metric.key] for side in measured])
-            both = -log_rank_scores(both, ended) if _is_censored(metric, prepared) else both
-            columns[metric.key] = both
+            if (metric.is_ending and not both.any()) or (metric is DURATION and not can_end):
+                continue
+            if metric is DURATION:
+                both = restricted_mean_scores(both, ended)
+            metrics.append(metric)
+            columns.append(both)
             if metric.noun:
-                columns[_spread(metric)] = np.abs(both - np.median(both[alone]))
-            own.add(metric.of_order)
-        order = prepared.order(sides[0])
-        rest = [i for i, name in enumerate(order.names) if name not in own]
-        later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
-        tested = (
-            *(order_in_time.Measure(name, "") for name in columns),
-            *(order.measures[i] for i in rest),
+                metrics.append(spread_of(metric))
+                columns.append(np.concatenate([_apart(both[:starts]), _apart(both[starts:])]))
+        values = np.stack(columns, axis=1)[alone]
+        by_time = np.array([metric.by_time for metric in metrics])
+        lasted = np.maximum(prepared.recorded.lengths - 1, 1)[:, None].astype(np.float64)
+        names = row_names(metrics)
+        first = {names[resolve(name, names)] for name in questions.primary}
+        chosen = Sides(
+            demo=np.asarray(counted.demo)[~counted.copies],
+            unit=unit,
+            weight=np.where(by_time, lasted, 1.0),
+            binary=np.array([metric.share and metric.is_ending for metric in metrics]),
+            primary=np.array([metric.key in first for metric in metrics]),
         )
-        values = np.concatenate([np.stack([*columns.values()], axis=1), later], axis=1)
-        exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
-        test = exchange_test(values, exchanges, level=LEVEL, group=group, rng=rng)
-        ends = ending(prepared.recorded), ending(counted)
-        endings = exchanges.chi_squared(np.concatenate(ends))
-        found = order_in_time.EpisodeMeasures(tested, values)
-        return cls(prepared, counted, measured, found, test, ends, endings)
+        found = simultaneous_differences(values[:starts], values[starts:], chosen, rng)
+        wanted = {names[resolve(name, names)]: one for name, one in questions.tolerances.items()}
+        allowed = np.array(
+            [
+                _tolerance(metric, wanted.get(metric.key), mean, sd)
+                for metric, mean, sd in zip(metrics, found.recorded, found.between)
+            ]
+        )
+        return cls(prepared, counted, unit, tuple(metrics), found, allowed, tuple(sorted(first)))
 
-    @property
-    def differs(self) -> bool:
-        """Whether any measure differs, or the endings do."""
-        return bool(self.test.differs.any()) or self.endings.p <= ENDINGS_LEVEL
+    def rows(self, blind: Rollouts | None = None) -> Iterator[Row]:
+        """Yield a row for each metric of its own, then one for each kind of the others."""
+        controls = {"strangers": strangers(self.prepared)}
+        controls["blind"] = {} if blind is None else measures(self.prepared, blind)
+        rows = [self._row(place, controls) for place in range(len(self.metrics))]
+        yield from (row for row, metric in zip(rows, self.metrics) if not metric.kind)
+        for kind, label in KINDS.items():
+            members = [row for row, metric in zip(rows, self.metrics) if metric.kind == kind]
+            known = [row for row in members if math.isfinite(row.low)]
+            if members:
+                row = max(known, key=farness) if known else members[0]
+                yield replace(row, measure=kind, label=f"{label}: {lower_first(row.label)}")
 
-    @property
-    def can_end(self) -> bool:
-        """Whether episodes end by themselves on either side, not with the film alone."""
-        sides = (self.prepared.recorded, self.counted)
-        return self.prepared.demos.has_goal or any(has_ended(side).any() for side in sides)
-
-    def gap(self, place: int) -> float:
-        """Return how far apart both sides are in a column."""
-        return abs(float(self.test.simulated[place] - self.test.recorded[place]))
-
-
-def verdict_rows(
-    tests: JointTests, rng: np.random.Generator, blind: Rollouts | None = None
-) -> list[Row]:
-    """Return the rows of endings, of motion and of order; ``blind`` are a group's control."""
-    kinds = [kind for kind in KINDS if kind in tests.columns.kinds]
-    return [
-        *([_endings_row(tests, np.unique(tests.counted.demo))] if tests.can_end else []),
-        *_metric_rows(tests, rng, blind),
-        *(_kind_row(kind, tests) for kind in kinds),
-    ]
-
-
-def _endings_row(tests: JointTests, starts: Ints) -> Row:
-    ends, tested = tests.ends, tests.endings
-    judgement = words = SAME
-    if tested.p <= ENDINGS_LEVEL:
-        known = np.unique(np.concatenate(ends))
-        shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
-        moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
-        judgement, words = DIFFERS, "endings differ"
-        if moved <= LITTLE_SHARE:
-            judgement = BY_LITTLE
-            words = f"{BY_LITTLE}: endings differ in {100 * moved:.2g} % of episodes"
-    return Row(
-        measure=OUTCOMES, label="Endings together (chi-squared)", judgement=judgement,
-        verdict=words, distance=tested.value, reason="a test: no interval", **tested._asdict(),
-    )  # fmt: skip
-
-
-def _metric_rows(
-    tests: JointTests, rng: np.random.Generator, blind: Rollouts | None
-) -> Iterator[Row]:
-    prepared, counted, test, names = tests.prepared, tests.counted, tests.test, tests.columns.names
-    starts = np.unique(counted.demo)
-    controls = {"strangers": _strangers(prepared)}
-    controls["blind"] = {} if blind is None else measures(prepared, blind)
-    for metric in judged_metrics(prepared.demos):
-        a, b = (side[metric.key] for side in tests.metrics)
-        nobody = metric.is_ending and not (a.any() or b.any())
-        if nobody or (metric is DURATION and not tests.can_end):
-            continue
-        many = statistics.cells(b, counted.seed, counted.demo, len(a))
-        one = statistics.cells(a[starts], np.full(len(starts), -1), starts, len(a))
-        gap = statistics.bootstrap_difference(many, one, rng, share=metric.share)
-        recorded, drawn = one.mean, many.even.mean
-        if _is_censored(metric, prepared):
-            recorded, drawn = _mean_durations(prepared.recorded, counted, starts)
-        place = worst = names.index(metric.key)
-        if metric.noun:
-            spread = names.index(_spread(metric))
-            p = np.nan_to_num(test.adjusted_p, nan=1.0)
-            worst = spread if p[spread] < p[place] else place
-        more = bool(test.statistic[worst] > 0)
-        wrong, size = metric.words[0 if more else 1], abs(drawn - recorded)
-        if worst != place:
-            wrong = f"{metric.noun} {'too varied' if more else 'too much alike'}"
-            size = tests.gap(worst)
-        allowed = LITTLE_SHARE if metric.share else LITTLE * abs(recorded)
-        judgement = words = SAME
-        if test.differs[worst] and size > (allowed if metric.unit else max(allowed, LITTLE_SHARE)):
-            judgement, words = DIFFERS, wrong
-        elif test.differs[worst]:
-            points = f"{100 * size:.2g} percentage points"
-            by = points if metric.share else f"{100 * size / abs(recorded):.2g} %"
-            judgement, words = BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}"
-        more_columns: dict[str, Any] = {}
-        if metric.noun:
-            scores = statistics.energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
-            more_columns |= {"energy": float(np.mean(scores))}
-            more_columns |= {"energy_pooled": statistics.pooled_score(a[starts])}
+    def _row(self, place: int, controls: Mapping[str, Mapping[str, Floats]]) -> Row:
+        metric, found, tolerance = self.metrics[place], self.found, float(self.tolerances[place])
+        value, margin = float(found.value[place]), float(found.margin[place])
+        recorded, simulated = float(found.recorded[place]), float(found.simulated[place])
+        low, high = value - margin, value + margin
+        if metric.is_share:
+            low, high = max(low, -1.0), min(high, 1.0)
+        judgement, units = judge(value, low, high, tolerance), int(found.units[place])
+        needed, reason = math.nan, ""
+        if not math.isfinite(margin):
+            few = units < MIN_RECORDINGS
+            recordings = f"{units} recording{'s' * (units != 1)}"
+            reason = f"{recordings}, too few for an interval" if few else "it does not vary"
+        elif judgement == UNKNOWN:
+            needed = recordings_needed(units, margin, max(abs(value), tolerance - abs(value)))
+        unit = metric.unit.replace(ARENA_UNITS, self.prepared.unit.name)
+        words = judgement
+        if judgement in (DIFFERS, LITTLE):
+            one, other = figures(unit, simulated, recorded)
+            shown = "%" if unit == "share" else unit
+            words = f"{metric.complaint(value > 0)}: {one} for {other} {shown}".rstrip()
+            words = words if judgement == DIFFERS else f"{LITTLE}: {words}"
+        elif judgement == UNKNOWN:
+            words = unknown_words(needed, reason)
+        error = POWER * float(found.error[place])
+        more: dict[str, float] = {}
         if metric.about == GROUP:
-            known = {name: side[metric.key] for name, side in controls.items() if side}
-            known = {name: values[np.isfinite(values)] for name, values in known.items()}
-            more_columns |= {name: float(v.mean()) for name, v in known.items() if len(v)}
-        yield Row(
-            **statistics.row_of(gap, measure=metric.key, label=metric.label, judgement=judgement),
-            unit=metric.unit.replace("arena units", prepared.unit.name), verdict=words,
-            recorded=recorded, simulated=drawn, distance=tests.gap(worst),
-            null=float(test.null[worst]), p=test.least_p([place, worst]), covers=covers(many),
-            **more_columns,
-        )  # fmt: skip
+            own = {name: side[metric.key] for name, side in controls.items() if side}
+            own = {name: some[np.isfinite(some)] for name, some in own.items()}
+            more = {name: float(some.mean()) for name, some in own.items() if len(some)}
+        seeds = "training runs like these" if len(np.unique(self.counted.seed)) > 1 else ""
+        return Row(
+            measure=metric.key,
+            label=metric.label,
+            unit=unit,
+            recorded=recorded,
+            simulated=simulated,
+            value=value,
+            low=low,
+            high=high,
+            tolerance=tolerance,
+            judgement=judgement,
+            colour=COLOURS[judgement],
+            verdict=words,
+            needed=needed,
+            detectable=max(margin, tolerance) + error,
+            covers=seeds or "this network only",
+            reason=reason,
+            primary=metric.key in self.primary,
+            **more,
+        )
 
 
-def _kind_row(kind: str, tests: JointTests) -> Row:
-    """Return the row of all measures of a kind; the one that differs most speaks for it."""
-    columns, test, own = tests.columns, tests.test, tests.prepared.unit
-    members = np.flatnonzero(np.array(columns.kinds) == kind)
-    size = np.abs(test.statistic[members])
-    if not np.isfinite(size).any():
-        return Row(measure=kind, label=KINDS[kind])
-    worst = int(members[np.nanargmax(size)])
-    known, name = columns.measures, columns.names[worst]
-    scale = own.per_arena_unit if known[worst].unit.startswith("arena units") else 1.0
-    unit = known[worst].unit.replace("arena units", own.name)
-    recorded, simulated = scale * float(test.recorded[worst]), scale * float(test.simulated[worst])
-    judgement = words = SAME
-    differing = members[test.differs[members]]
-    if len(differing):
-        order = differing[np.argsort(-np.abs(test.statistic[differing]))]
-        told = [known[i].words(bool(test.simulated[i] > test.recorded[i])) for i in order]
-        words, *more = dict.fromkeys(told)
-        figures = f"{name}: {simulated:.2g}, recorded {recorded:.2g} {unit}"
-        words = f"{words} ({figures.rstrip()})"
-        words = ", ".join([words, *more[: MOST_PHRASES - 1]])
-        least = [0.0 if known[i].unit else LITTLE_SHARE for i in differing]
-        allowed = np.maximum(LITTLE * np.abs(test.recorded[differing]), least)
-        gaps = np.abs(test.simulated[differing] - test.recorded[differing])
-        judgement = DIFFERS if (gaps > allowed).any() else BY_LITTLE
-        words = words if judgement == DIFFERS else f"{BY_LITTLE}: {words}"
-    return Row(
-        measure=kind, label=f"{KINDS[kind]}: {name}", unit=unit, recorded=recorded,
-        simulated=simulated, value=simulated - recorded, distance=scale * tests.gap(worst),
-        null=scale * float(test.null[worst]), p=test.least_p(members), judgement=judgement,
-        verdict=words, reason="one of several measures: no interval",
-    )  # fmt: skip
+def _apart(values: Floats) -> Floats:
+    """Return how far values lie from their median."""
+    return np.asarray(np.abs(values - np.nanmedian(values)))
 
 
-def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tuple[float, float]:
-    """Return the mean survival of both sides, up to the longest time that both know."""
-    sides = (recorded.select(starts), counted)
-    lasted = [(side.lengths - 1) * side.dt for side in sides]
-    ended = [has_ended(side) for side in sides]
-    whole = [bool(e[d == d.max()].all()) for d, e in zip(lasted, ended)]  # the curve ends at zero
-    known = [d.max() for d, all_ended in zip(lasted, whole) if not all_ended]
-    limit = float(min(known) if known else max(d.max() for d in lasted))
-    first, second = (mean_survival(d, e, limit) for d, e in zip(lasted, ended))
-    return first, second
+def spread_of(metric: Metric) -> Metric:
+    """Return the metric of how far values lie from their median."""
+    return replace(
+        metric,
+        key=f"spread_of_{metric.key}",
+        label=f"Spread of {metric.noun}",
+        tolerance=OF_WIDTH,
+        noun="",
+        too_much=f"{metric.noun} too varied",
+        too_little=f"{metric.noun} too much alike",
+    )
 
 
-def _strangers(prepared: Prepared) -> dict[str, Floats]:
+def row_names(metrics: Iterable[Metric]) -> dict[str, str]:
+    """Return the keys of metrics by every name that a user may give them."""
+    names = {}
+    for metric in metrics:
+        for name in (metric.key.removeprefix("mean_"), metric.label, metric.key):
+            names[_plain_key(name)] = metric.key
+    return names
+
+
+def resolve(name: str, names: Mapping[str, str]) -> str:
+    """Return the key of ``names`` that a user means, or raise InputError with those there are."""
+    plain = _plain_key(name)
+    if plain not in names:
+        known = ", ".join(sorted(set(names.values())))
+        raise InputError(f"no measure of this verdict is named {name!r}: choose one of {known}")
+    return plain
+
+
+def _plain_key(name: str) -> str:
+    return name.strip().casefold().replace(" ", "_").replace("-", "_")
+
+
+def lower_first(label: str) -> str:
+    """Return a label as it stands within a sentence."""
+    return label[:1].lower() + label[1:]
+
+
+def _tolerance(metric: Metric, given: float | None, recorded: float, between: float) -> float:
+    part = TOLERANCES[metric.tolerance] if given is None else given
+    if metric.tolerance == OF_SHARE:
+        return part
+    if metric.tolerance in (OF_MEAN, OF_WIDTH) and recorded != 0:
+        return part * abs(recorded)
+    return (part if metric.tolerance == OF_SPREAD else TOLERANCES[OF_SPREAD]) * between
+
+
+def farness(row: Row) -> tuple[int, bool, float]:
+    """Return how far a row is from alike, for sorting: first by its word, then by its distance.
+
+    Of the same word, rows of one metric are farther than rows that stand for several.
+    """
+    order = (ALIKE, LITTLE, UNKNOWN, DIFFERS)
+    if row.measure in (AUC, SEQUENCE):
+        away = (row.value - 0.5) / (LITTLE_AUC - 0.5)
+    else:
+        away = abs(row.value) / row.tolerance if row.tolerance > 0 else 0.0
+    single = row.measure not in (*KINDS, AUC, SEQUENCE)
+    return order.index(row.judgement), single, away if math.isfinite(away) else 0.0
+
+
+def strangers(prepared: Prepared) -> dict[str, Floats]:
     """Return the metrics of groups put together of animals that never met.
 
     Each goes where it went, in another episode than its neighbours: what animals of the same
@@ -497,9 +428,26 @@ def _strangers(prepared: Prepared) -> dict[str, Floats]:
     return measures(prepared, mixed)
 
 
-def _is_censored(metric: Metric, prepared: Prepared) -> bool:
-    return metric is DURATION and bool((prepared.recorded.outcome == UNFINISHED).any())
-
-
-def _spread(metric: Metric) -> str:
-    return f"spread of {metric.key}"
+def classifier_row(key: str, label: str, found: ClassifierResult) -> Row:
+    """Return the row of a classifier."""
+    area, among = found.auc, found.areas.get("among", UNDEFINED)
+    judgement, needed, reason = judge_area(area), math.nan, area.reason
+    part = max(found.importance, key=lambda what: found.importance[what], default="")
+    by = f", most of all by {lower_first(KINDS.get(part, part))}" if part else ""
+    words = judgement
+    if judgement in (DIFFERS, LITTLE):
+        pairs = f"a classifier tells simulated from recorded in {100 * area.estimate:.0f} of 100"
+        words = f"{pairs} pairs{by}"
+        words = words if judgement == DIFFERS else f"{LITTLE}: {words}"
+    elif judgement == UNKNOWN:
+        above = max(LITTLE_AUC - area.estimate, area.estimate - 0.5)
+        needed = recordings_needed(found.units, (area.high - area.low) / 2, above)
+        words = unknown_words(needed, reason)
+    return Row(
+        **statistics.row_of(area, measure=key, label=label, judgement=judgement, verdict=words),
+        colour=COLOURS[judgement],
+        recorded=among.estimate,
+        simulated=area.estimate,
+        tolerance=LITTLE_AUC - 0.5,
+        needed=needed,
+    )

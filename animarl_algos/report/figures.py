@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.verdict_rows import ALIKE, DIFFERS, LITTLE, UNKNOWN
 from animarl_algos.report import style
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
@@ -36,6 +37,13 @@ ROW_HEIGHT = 0.52  # of one method in a distribution [inch]
 BINS = 41  # edges of the bins of a histogram
 POINTS = 200  # of a density
 MOST_DOTS = 400  # more rollouts than this are thinned evenly in drawings, never in numbers
+FOREST_LIMIT = 4.0  # tolerances to either side
+WORD_COLOURS = {
+    ALIKE: style.GREEN,
+    LITTLE: style.ORANGE,
+    DIFFERS: style.VERMILION,
+    UNKNOWN: style.STONE,
+}
 GOLDEN_RATIO = 0.6180339887498949
 REFERENCE: dict[str, Any] = {
     "color": style.MUTED.hex, "linewidth": 0.7, "linestyle": (0, (4, 3)), "zorder": 0.5,
@@ -125,6 +133,35 @@ def interval_rows(
             panel.set_xlim(limits)
         panel.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
         panel.xaxis.set_major_formatter("{x:g}")
+    return figure
+
+
+def forest(
+    rows: Sequence[tuple[str, str, float, float, float]], say: Callable[[str], str] = str
+) -> Figure:
+    """Draw questions with their intervals in units of their tolerances, coloured by their words.
+
+    Each row is ``(label, word, value, low, high)``, from bottom to top.
+    """
+    with one_panel(6.4, 0.8 + 0.24 * len(rows), "x", xlabel="Difference / tolerance") as drawn:
+        figure, panel = drawn
+        panel.axvspan(-1, 1, color=style.LINE.hex, lw=0, zorder=0)
+        panel.axvline(0, **REFERENCE)
+        for base, (_, word, value, low, high) in enumerate(rows):
+            if not np.isfinite(value):
+                continue
+            colour = WORD_COLOURS[word].hex
+            if np.isfinite(low):
+                ends = np.clip([low, high], -FOREST_LIMIT, FOREST_LIMIT)
+                panel.plot(ends, [base, base], color=colour, linewidth=1.8)
+            place, inside = np.clip(value, -FOREST_LIMIT, FOREST_LIMIT), abs(value) <= FOREST_LIMIT
+            mark = "o" if inside else "<" if value < 0 else ">"
+            panel.plot(place, base, mark, color=colour, markersize=5)
+        panel.set_yticks(range(len(rows)), [say(label) for label, *_ in rows])
+        panel.tick_params(axis="y", length=0, labelsize=7.5)
+        panel.spines["left"].set_visible(False)
+        panel.set_ylim(-0.7, len(rows) - 0.3)
+        panel.set_xlim(-FOREST_LIMIT, FOREST_LIMIT)
     return figure
 
 

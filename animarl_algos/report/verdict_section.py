@@ -1,4 +1,4 @@
-"""The verdict as the first section of the page, as its headline, and as a sentence."""
+"""The verdict as the first section of the page, as a picture, and as lines of a terminal."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from animarl_algos.evaluation.classifier import AUC, FEWEST_DEMOS, SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.prepared import WINDOW
@@ -17,32 +17,28 @@ from animarl_algos.evaluation.realism import REFERENCES
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import (
-    BY_LITTLE,
+    ALIKE,
     CONTROLS,
     DIFFERS,
-    KINDS,
-    LEVEL,
-    OUTCOMES,
-    SAME,
+    LITTLE,
+    LITTLE_AUC,
     UNKNOWN,
+    Row,
+    farness,
+    figures,
+    lower_first,
 )
-from animarl_algos.report.page import Block, Lead, Table, tabulate
-from animarl_algos.report.style import method_label
-from animarl_algos.report.words import NOTHING, Words, capitalised, number, pick, with_interval
+from animarl_algos.report.figures import forest
+from animarl_algos.report.page import Block, Gallery, Lead, Table, tabulate
+from animarl_algos.report.style import method_label, to_image
+from animarl_algos.report.words import NOTHING, Words, number, pick, with_interval
 
-SIGNS = {
-    SAME: ("green", "\u2248"), BY_LITTLE: ("amber", "~"), DIFFERS: ("red", "\u2260"),
-    UNKNOWN: ("grey", "?"),
-}  # fmt: skip
-"""Colour and mark of a judgement."""
-HEADLINES = {
-    SAME: "{learner} is not distinguishable from the recordings at this sample size ({size})",
-    BY_LITTLE: "{learner} differs from the recordings, but by little ({size})",
-    DIFFERS: "{learner} differs from the recordings ({size})",
-    UNKNOWN: "Too little data to say whether {learner} moves like the recordings ({size}{why})",
-}
+MARKS = {ALIKE: "\u2248", LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
+"""Signs of the words, for readers who do not see colours."""
 SHARE = "share"  # the unit of what is told in percent
+FARTHEST = 3  # rows on the terminal
 BESIDE = {
+    "among": "recordings among themselves",
     "floor": "closed-loop tracking of the recordings (perfect control in this locomotion)",
     "ceiling": "random actions",
 }
@@ -54,79 +50,77 @@ DEMONSTRATED = Words(synthetic=True)
 
 
 def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -> Lead:
-    """Return the verdict as a line and what it rests on, every figure with its interval."""
-    details = [*map(capitalised, _differences(verdict)), *_scores(verdict)]
+    """Return the headline and what it rests on."""
     return Lead(
         verdict.judgement,
-        *SIGNS[verdict.judgement],
-        words.say(f"{_headline(verdict)}."),
-        [words.say(f"{detail}.") for detail in details],
+        verdict.colour,
+        MARKS[verdict.judgement],
+        words.say(f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"),
+        [words.say(sentence) for sentence in _evidence(verdict)],
         cautions,
     )
 
 
 def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
-    """Return the verdict in one sentence, with the intervals that it rests on."""
-    differences = ", ".join(_differences(verdict))
-    found = f"{_headline(verdict)}{f': {differences}' if differences else ''}"
-    return words.say(f"{'. '.join([found, *_scores(verdict)])}.")
+    """Return the verdict in a few sentences."""
+    said = f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"
+    return words.say(" ".join([said, *_evidence(verdict)]))
 
 
-def _headline(verdict: Verdict) -> str:
-    return HEADLINES[verdict.judgement].format(
-        learner=method_label(verdict.learner),
-        size=f"{verdict.rollouts} rollouts from {verdict.starts} "
-        f"start{'s' * (verdict.starts != 1)}",
-        why=f"; {verdict.too_little}" if verdict.too_little else "",
-    )
+def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
+    """Return what the terminal prints: the headline, the rows farthest from alike, the classifier.
+
+    Each of these rows is told with both values and the unit.
+    """
+    lines = [f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"]
+    rows = [row for row in verdict.rows() if row.measure not in (AUC, SEQUENCE)]
+    rows = [row for row in rows if row.judgement != ALIKE and math.isfinite(row.value)]
+    for row in sorted(rows, key=farness, reverse=True)[:FARTHEST]:
+        one, other = figures(row.unit, row.simulated, row.recorded)
+        unit = "%" if row.unit == SHARE else row.unit
+        values = f"{lower_first(row.label)} {one} for {other} {unit}".rstrip()
+        lines.append(f"  {MARKS[row.judgement]} {values} ({row.judgement})")
+    return [words.say(line) for line in [*lines, *_evidence(verdict)[:1]]]
 
 
-def _scores(verdict: Verdict) -> Iterator[str]:
+def _evidence(verdict: Verdict) -> list[str]:
+    """Return sentences on the classifier, on what would have been seen, and on realism."""
+    found = []
     if math.isfinite(verdict.auc.estimate):
-        yield (
-            "A classifier ranks a simulated window above a recorded one in "
-            f"{with_interval(verdict.auc, percent=True)} % of pairs (50: chance)"
+        wrong = 100 * (1 - verdict.auc.estimate)
+        found.append(
+            f"A classifier takes the simulated piece for the recorded one in {wrong:.0f} of 100 "
+            "pairs (50: chance)."
         )
+    if verdict.detectable:
+        told = [f"{name} {100 * part:.0f} %" for name, (part, _) in verdict.detectable.items()]
+        found.append(f"Smallest changes that so many recordings show: {', '.join(told)}.")
     if math.isfinite(verdict.realism.estimate):
         beside = ", ".join(f"{name} {number(v)}" for name, v in verdict.realism_beside.items())
-        yield f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
-
-
-def _differences(verdict: Verdict) -> Iterator[str]:
-    """What differs, each with the figure it rests on; nothing where nothing does."""
-    rows = [row for _, row in verdict.table.iterrows()]
-    for word in verdict.words:
-        if word != SAME:
-            row = next((row for row in rows if row["verdict"] == word), None)
-            told = row is None or row["measure"] in KINDS  # whose words hold the figure
-            evidence = "" if told else _evidence(row)
-            yield f"{word} ({evidence})" if evidence else word
-
-
-def _evidence(row: Any) -> str:
-    """The difference with its interval; where it might be none, also the distance and its null."""
-    scale, unit = _scale(row)
-    gap = interval(row)
-    points = "percentage points" if unit == "%" else unit
-    parts = []
-    if math.isfinite(gap.estimate):
-        parts.append(f"difference {with_interval(gap, unit == '%')} {points}".rstrip())
-    if not (math.isfinite(gap.low) and gap.excludes_zero):
-        null = f"by chance up to {number(scale * row['null'])}"
-        parts.append(f"distance {number(scale * row['distance'])}, {null} {points}".rstrip())
-    return "; ".join(parts)
-
-
-def _scale(row: Any) -> tuple[float, str]:
-    """By what the row's numbers are multiplied, and the unit they then have."""
-    return (100.0, "%") if row["unit"] == SHARE else (1.0, str(row["unit"]))
+        said = f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
+        found.append(f"{said}.")
+    return found
 
 
 # -- as tables and pictures -----------------------------------------------------------------------
 
 
 def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
-    """Yield the table and the realism score by kind and, folded, by component."""
+    """Yield the picture of all questions, their table and, folded, the realism score."""
+    strip = forest(
+        [
+            (row.label, row.judgement, *_in_tolerances(row))
+            for row in sorted(verdict.rows(), key=farness)
+        ],
+        words.say,
+    )
+    yield Gallery(
+        [to_image(strip, words.say("Difference of every question in units of its tolerance"))],
+        words.say(
+            "Each question as the difference of simulated and recorded, in units of its tolerance, "
+            "with its interval; within the band it is alike. Arrows leave the picture."
+        ),
+    )
     yield verdict_as_table(verdict, words)
     scores = verdict.components
     if scores is None or scores.empty:
@@ -158,67 +152,79 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     )
 
 
+def _in_tolerances(row: Row) -> tuple[float, float, float]:
+    """Return difference and interval of a row divided by its tolerance."""
+    if not row.tolerance > 0:
+        return math.nan, math.nan, math.nan
+    zero = 0.5 if row.measure in (AUC, SEQUENCE) else 0.0
+    value, low, high = ((end - zero) / row.tolerance for end in (row.value, row.low, row.high))
+    return value, low, high
+
+
 def verdict_as_table(verdict: Verdict, words: Words) -> Table:
-    """Return one row per question, those that find nothing faint."""
-    judges = (AUC, SEQUENCE)
+    """Return one row per question, those that are alike faint."""
+    areas = (AUC, SEQUENCE)
 
-    def scaled(key: str) -> Any:
-        return lambda row: number(_scale(row)[0] * row[key])
+    def scaled(key: str) -> Callable[[Any], str]:
+        return lambda row: number((100.0 if row["unit"] == SHARE else 1.0) * row[key])
 
-    def value(row: Any) -> str:
-        return with_interval(interval(row), _scale(row)[1] == "%")
+    def question(row: Any) -> str:
+        unit = "%" if row["unit"] == SHARE else row["unit"]
+        return f"{row['label']} ({unit})" if unit else str(row["label"])
+
+    def difference(row: Any) -> str:
+        return with_interval(interval(row), row["unit"] == SHARE)
+
+    def tolerance(row: Any) -> str:
+        if row["measure"] in areas:
+            return f"{LITTLE_AUC:.2f}"
+        return f"\u00b1{scaled('tolerance')(row)}" if row["tolerance"] > 0 else NOTHING
 
     return tabulate(
         "Verdict",
         {
-            "Question": lambda row: row["label"] + (f" ({_scale(row)[1]})" if row["unit"] else ""),
+            "Question": question,
             "Verdict": lambda row: words.say(str(row["verdict"])),
             words.say("Recorded"): scaled("recorded"),
-            "Simulated": lambda row: (
-                value(row) if row["measure"] in judges else scaled("simulated")(row)
-            ),
-            "Difference\n[95 %]": lambda row: (
-                NOTHING if row["measure"] in (*judges, OUTCOMES) else value(row)
-            ),
-            "Distance": scaled("distance"),
-            "Null": scaled("null"),
+            "Simulated": scaled("simulated"),
+            "Difference\n[95 %]": difference,
+            "Tolerance": tolerance,
             **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
         },
         [("", verdict.table)],
         words.say(_caption(verdict)),
         left=2,
-        faint=lambda row: row["judgement"] == SAME,
+        faint=lambda row: row["judgement"] == ALIKE,
     )
 
 
 def _caption(verdict: Verdict) -> str:
     said = (
-        "Means over episodes and their difference [95 % interval]. Distance: the difference that "
-        "is tested, of means or of spreads. Null: what all distances together stay below in "
-        f"{100 * (1 - LEVEL):.0f} % of cases if the recorded episode of each start is exchanged "
-        "with one of its rollouts. For the classifiers: recordings among themselves. Of each kind "
-        "of order the measure that differs most is told."
+        f"{verdict.rollouts} rollouts from {verdict.starts} starts in {verdict.recordings} "
+        "recordings. Means over recordings, and their difference with an interval: all intervals "
+        "together hold the truth in 95 % of experiments. Alike: the interval lies within the "
+        "tolerance. Differs: it excludes zero, and the difference is larger than the tolerance. "
+        "Not known: neither. Of each kind the measure farthest from alike is told. For the "
+        f"classifiers: the area under the curve (.5: chance), alike up to {LITTLE_AUC:.2f}."
     )
     if "strangers" in verdict.table:
         said += " Strangers: recorded animals of different episodes put together, a group without"
         said += " reactions."
     if "blind" in verdict.table:
         said += " Blind: the same clone, where each animal is shown another one's neighbours."
-    for key, name in ((AUC, "classifier's AUC"), (SEQUENCE, "AUC of order")):
+    for key, name in ((AUC, "the first classifier"), (SEQUENCE, "that of order")):
         areas = verdict.areas.get(key, {})
         told = [
             f"{with_interval(areas[one])} for {what}"
             for one, what in BESIDE.items()
             if one in areas and math.isfinite(areas[one].estimate)
         ]
-        said += f" The {name} is {' and '.join(told)}." if told else ""
+        said += f" The area of {name} is {' and '.join(told)}." if told else ""
     falls = sorted(verdict.importance.items(), key=lambda item: -item[1])
     if falls:
         told = [f"{number(fall, 2)} ({kind})" for kind, fall in falls]
-        said += f" Shuffling one kind of feature lowers the AUC on {WINDOW:g} s by "
+        said += f" Shuffling one kind of feature lowers the area on {WINDOW:g} s by "
         said += f"{', '.join(told)}."
-    if verdict.starts < FEWEST_DEMOS:
-        said += " There are few demonstrations, so the classifier's intervals are of parts of them."
     if verdict.smoothing > 1:
         said += (
             " All positions, simulated ones too, went through a moving average of "

@@ -18,6 +18,7 @@ from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.pretraining import few_or_count
 from animarl_algos.losses.terms import Selection
@@ -175,6 +176,7 @@ class EvaluatedRuns:
     folds: Sequence[Run] = ()
     new: Demonstrations | None = None
     seed: int = 0
+    questions: Questions = AS_BUILT
 
     @property
     def learner(self) -> str:
@@ -209,6 +211,7 @@ class EvaluatedRuns:
             floor=floor,
             learner=self.learner,
             references=others,
+            questions=self.questions,
         )
 
     @cached_property
@@ -230,7 +233,10 @@ class EvaluatedRuns:
 
 
 def compare_runs(
-    folders: Sequence[str | Path], *, demos: Demonstrations | None = None
+    folders: Sequence[str | Path],
+    *,
+    demos: Demonstrations | None = None,
+    questions: Questions = AS_BUILT,
 ) -> EvaluatedRuns:
     """Methods times seeds against the recordings of the test split that all started from.
 
@@ -244,6 +250,8 @@ def compare_runs(
     demos
         Other recordings of the same animals to judge the trained policies on, which are then rolled
         out from all of their starts; by default the test split of the runs.
+    questions
+        Tolerances and primary measures of the user's choice.
 
     Raises
     ------
@@ -270,7 +278,7 @@ def compare_runs(
             if name == own or name not in runs.methods:
                 parts.setdefault(name, {}).setdefault(run.settings.seed, some)
     rollouts = {name: Rollouts.concatenate(list(p.values()), name) for name, p in parts.items()}
-    return EvaluatedRuns(runs, rollouts, folds[0] if crossed else (), new)
+    return EvaluatedRuns(runs, rollouts, folds[0] if crossed else (), new, questions=questions)
 
 
 def _new_recordings(runs: run_set.RunSet, demos: Demonstrations) -> Demonstrations:
@@ -311,7 +319,11 @@ def _stored_rollouts(run: Run, runs: run_set.RunSet) -> dict[str, Rollouts]:
 
 
 def evaluate_runs(
-    folders: Sequence[str | Path], out: str | Path, *, demos: Demonstrations | None = None
+    folders: Sequence[str | Path],
+    out: str | Path,
+    *,
+    demos: Demonstrations | None = None,
+    questions: Questions = AS_BUILT,
 ) -> EvaluatedRuns:
     """What :func:`compare_runs` finds, written to ``out``: all of it or nothing.
 
@@ -324,7 +336,7 @@ def evaluate_runs(
         As :func:`compare_runs`, or if ``out`` cannot be written or is a run folder.
     """
     refuse_run_folder(out)
-    found = compare_runs(folders, demos=demos)
+    found = compare_runs(folders, demos=demos, questions=questions)
     settings: dict[str, Any] = {}
     for name, some in found.runs.methods.items():
         settings[f"{name} learner"] = some[0].record["learner"]

@@ -16,6 +16,7 @@ from animarl_algos.data.recipe_choice import choose_recipe
 from animarl_algos.data.vec_env import SlotVecEnv, check_environment_supports
 from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
+from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import (
@@ -172,7 +173,7 @@ def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
                 learn_all(fold, progress_bar=progress_bar)
 
 
-def evaluate_run(run: Run) -> Evaluation:
+def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings.
 
     Of a run that was cross-validated, those of all folds are compared, with all recordings.
@@ -184,7 +185,8 @@ def evaluate_run(run: Run) -> Evaluation:
         if folds:
             rollouts = run_set.joined_rollouts(folds)
         runs = run_set.RunSet.of(run)
-        evaluation = EvaluatedRuns(runs, rollouts, folds, seed=run.settings.seed).evaluation
+        found = EvaluatedRuns(runs, rollouts, folds, seed=run.settings.seed, questions=questions)
+        evaluation = found.evaluation
         evaluation.save(run.path / "evaluation")
     return evaluation
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import SAME, UNKNOWN
+from animarl_algos.evaluation.verdict_rows import UNKNOWN
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.report.inputs import flattened
 from animarl_algos.report.verdict_section import verdict_as_table, verdict_sentence
@@ -142,10 +142,23 @@ def export_run(
 def _metrics(verdict: Verdict) -> dict[str, Any]:
     """What the verdict found, as plain numbers; None where something is not defined."""
     rows = json.loads(verdict.table.to_json(orient="records", double_precision=6))
-    keys = ("measure", "unit", "recorded", "simulated", "value", "low", "high", "null",
-            "energy", "energy_pooled", "verdict")  # fmt: skip
+    keys = (
+        "measure",
+        "unit",
+        "recorded",
+        "simulated",
+        "value",
+        "low",
+        "high",
+        "tolerance",
+        "judgement",
+        "colour",
+        "verdict",
+    )
     return {
-        "words": list(verdict.words),
+        "headline": verdict.headline,
+        "colour": verdict.colour,
+        "counts": verdict.counts,
         "starts": verdict.starts,
         "rollouts": verdict.rollouts,
         "measures": [{key: row[key] for key in keys} for row in rows],
@@ -222,10 +235,14 @@ docs/faithful.md says how to read the table.
 def _limits(run: Run, verdict: Verdict) -> list[str]:
     """Return what its metrics do not show, the worst first."""
     limits = []
-    if verdict.judgement == UNKNOWN:
-        limits.append(f"The test split is too small to say: {verdict.too_little}.")
-    elif verdict.judgement != SAME:
-        limits.append(f"What differs on the test split: {verdict.overall}.")
+    counts = verdict.counts
+    if verdict.complaints:
+        limits.append(f"What differs on the test split: {'; '.join(verdict.complaints)}.")
+    if counts[UNKNOWN]:
+        limits.append(
+            f"Not known on the test split: {counts[UNKNOWN]} of {len(verdict.table)} questions; "
+            f"{verdict.recordings} recordings are too few."
+        )
     if run.demos.synthetic:
         limits.append("The data are synthetic: it says nothing about living animals.")
     if _is_packaged(run):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.verdict import FEWEST
+from animarl_algos.evaluation.verdict import MIN_TEST_RECORDINGS
 from animarl_algos.runs.run import DEMONSTRATIONS, Run, method_name
 from animarl_algos.runs.run_world import SENSES, world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -174,7 +174,7 @@ def number_of_folds(demos: Demonstrations, asked: int | None = None) -> int:
     """
     tested = np.unique(demos.recording[demos.split == "test"])
     if asked is None:
-        asked = FOLDS if len(tested) < FEWEST <= len(np.unique(demos.recording)) else 0
+        asked = FOLDS if len(tested) < MIN_TEST_RECORDINGS <= len(np.unique(demos.recording)) else 0
     if asked:
         next(cross_validated(demos, asked))
     return asked

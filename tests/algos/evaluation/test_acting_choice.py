@@ -29,7 +29,7 @@ from animarl_algos.evaluation.acting_choice import (
     further_rules,
 )
 from animarl_algos.evaluation.collect import Policy, RandomPolicy
-from animarl_algos.evaluation.order_in_time import INTERACTIVE, KINEMATIC, ORDER, PLACE
+from animarl_algos.evaluation.metrics import INTERACTIVE, KINEMATIC, ORDER, PLACE
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import ENDING, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts

@@ -11,7 +11,7 @@ from animarl_algos.evaluation.classifier import (
     DEALS,
     Windows,
     among_themselves,
-    tell_apart,
+    classify,
     widen_for_folds,
     window_features,
 )
@@ -39,7 +39,7 @@ def half_within(experiments: int, starts: int, *, paired: bool, deals: int) -> f
         here, there = np.arange(starts), np.arange(starts) + (0 if paired else starts)
         first = normal_windows(rng, centre, here, 1)
         second = normal_windows(rng, centre, there, 3 if paired else 1)
-        auc = tell_apart(first, second, rng, deals=deals).auc
+        auc = classify(first, second, rng, deals=deals).auc
         inside += auc.low <= 0.5 <= auc.high
     return inside / experiments
 
@@ -63,7 +63,7 @@ def test_how_few_demonstrations_are_dealt_hardly_matters() -> None:
 
     def spread(deals: int | None) -> float:
         areas = [
-            tell_apart(*sides, np.random.default_rng(seed), deals=deals).auc.estimate
+            classify(*sides, np.random.default_rng(seed), deals=deals).auc.estimate
             for seed in range(6)
         ]
         return float(np.std(areas))
@@ -73,7 +73,7 @@ def test_how_few_demonstrations_are_dealt_hardly_matters() -> None:
 
 def test_copies_of_the_recordings_are_ranked_by_chance_exactly() -> None:
     recorded = window_features(Rollouts.from_demonstrations(recorded_pairs()), ARENA)
-    assert tell_apart(recorded, recorded, np.random.default_rng(0)).auc.estimate == 0.5
+    assert classify(recorded, recorded, np.random.default_rng(0)).auc.estimate == 0.5
 
 
 def test_the_interval_is_widened_for_what_folds_share() -> None:
@@ -91,7 +91,7 @@ def test_importance_names_what_differs() -> None:
     group = np.repeat(np.arange(20), 8)
     first, second = rng.normal(size=(2, 160, 6))
     second[:, 4] += 2.0
-    told = tell_apart(
+    told = classify(
         Windows(first, group, kinds), Windows(second, group, kinds), rng, importance=True
     )
     assert told.importance["turning"] > 0.2 > 0.05 > abs(told.importance["speed"])
@@ -102,7 +102,7 @@ def test_recordings_among_themselves_and_one_demonstration_alone() -> None:
     among = among_themselves(recorded, np.random.default_rng(0))
     assert among.low < 0.5 < among.high
     alone = recorded.of(np.array([0]))
-    assert np.isnan(tell_apart(alone, alone, np.random.default_rng(0)).auc.estimate)
+    assert np.isnan(classify(alone, alone, np.random.default_rng(0)).auc.estimate)
 
 
 def test_both_sides_are_cut_alike_and_short_episodes_count() -> None:
@@ -143,7 +143,7 @@ def test_the_same_seed_gives_the_same_answer() -> None:
         window_features(r, ARENA)
         for r in (Rollouts.from_demonstrations(demos), simulated_pairs(demos, "true"))
     ]
-    twice = [tell_apart(*sides, np.random.default_rng(5), importance=True) for _ in range(2)]
+    twice = [classify(*sides, np.random.default_rng(5), importance=True) for _ in range(2)]
     assert twice[0] == twice[1]
 
 
@@ -196,7 +196,7 @@ def test_a_redeal_of_recordings_on_a_pixel_grid_is_ranked_by_chance() -> None:
         ]
         sides = [replace(r, positions=smoothed(r.positions, r.lengths, 3)) for r in sides]
         sides = [window_features(each, ARENA) for each in sides]
-        areas.append(tell_apart(*sides, rng, deals=1).auc.estimate)
+        areas.append(classify(*sides, rng, deals=1).auc.estimate)
     assert np.mean(areas) == pytest.approx(0.5, abs=0.03)
 
 

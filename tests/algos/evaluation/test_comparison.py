@@ -42,10 +42,10 @@ def test_comparison_counts_what_it_says() -> None:
             *(metrics_rows("DQDIL", seed, recorded + 1.0, caught) for seed in (0, 1)),
         ]
     )
-    table = comparison_table(metrics, 20, rng, resamples=400)
+    table = comparison_table(metrics, np.arange(20), rng, resamples=400)
     everything = row(table, method="DQDIL", measure="duration", counting="all")
     assert everything["rollouts"] == 40 and everything["seeds"] == 2
-    pairs = pair_table(metrics, 20, rng, resamples=400)
+    pairs = pair_table(metrics, np.arange(20), rng, resamples=400)
     duration = {"first": "DQDIL", "measure": "duration", "counting": "all"}
     to_recorded = row(pairs, second="recorded", **duration)
     assert to_recorded[["low", "value", "high"]].tolist() == pytest.approx([1.0] * 3)
@@ -75,7 +75,7 @@ def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:
             metrics_rows("DQCIL", 0, values + 100.0, caught, cue=1, factual=False),
         ]
     )
-    table = comparison_table(metrics, 10, rng, resamples=50)
+    table = comparison_table(metrics, np.arange(10), rng, resamples=50)
     found = row(table, method="DQCIL", measure="duration", counting="all")
     assert found["value"] == pytest.approx(values.mean())
 
@@ -101,7 +101,7 @@ METHODS = {"DQAAS": 1.0, "DQDIL": 1.0, "DQDIL-PT": 1.0}
 
 def gates(metrics: pd.DataFrame) -> pd.DataFrame:
     """Pairs that were planned, by the metrics that planned pairs have a gate by."""
-    table = pair_table(metrics, 20, np.random.default_rng(0), resamples=300)
+    table = pair_table(metrics, np.arange(20), np.random.default_rng(0), resamples=300)
     return table[table["gate"] != ""]
 
 
@@ -148,7 +148,7 @@ def test_differences_of_captures_are_of_shared_starts() -> None:
             metrics_rows("DQDIL", 0, recorded + rng.normal(0, 0.1, 20), late),
         ]
     )
-    pairs = pair_table(metrics, 20, rng, resamples=200)
+    pairs = pair_table(metrics, np.arange(20), rng, resamples=200)
     where = {"first": "DQDIL", "second": "BC", "measure": "duration"}
     captures = row(pairs, counting="captures", **where)
     assert captures["demos"] == 4 and captures["pairing"] == "paired, shared starts only"
@@ -170,14 +170,14 @@ def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None
             metrics_rows("DQDIL", 1, recorded, ~once),
         ]
     )
-    table = comparison_table(metrics, 6, rng, resamples=100)
+    table = comparison_table(metrics, np.arange(6), rng, resamples=100)
     where = {"method": "BC", "counting": "captures"}
     one, energy = (row(table, measure=f"{of}duration", **where) for of in ("", "energy of "))
     assert np.isnan([one["low"], energy["value"]]).all() and one["covers"] == "this network only"
     assert one["reason"].startswith("one demonstration")
     assert energy["reason"] == "fewer than two rollouts a start"
     assert set(table.loc[table["method"] == "DQDIL", "covers"]) == {"training runs like these"}
-    pairs = pair_table(metrics, 6, rng, resamples=100)
+    pairs = pair_table(metrics, np.arange(6), rng, resamples=100)
     assert set(pairs.loc[pairs["second"] == "DQDIL", "covers"]) == {"these networks only"}
     apart = row(pairs, first="BC", second="DQDIL", measure="duration", counting="captures")
     assert np.isnan(apart["value"]) and "no shared start" in apart["reason"]

@@ -14,7 +14,7 @@ import typer
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import SAME
+from animarl_algos.evaluation.verdict_rows import ALIKE
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
@@ -47,12 +47,12 @@ def test_a_set_that_is_cut_stops_anywhere(tmp_path: Path) -> None:
 def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
     """A verdict of one row."""
     row = dict.fromkeys(
-        ("recorded", "value", "low", "high", "distance", "null", "p"),
+        ("recorded", "value", "low", "high", "tolerance"),
         math.nan,
-    ) | {"measure": "auc", "label": "Told apart", "simulated": auc, "judgement": SAME}  # fmt: skip
-    words = {"unit": "", "covers": "", "reason": "", "verdict": "hardly told apart"}
+    ) | {"measure": "auc", "label": "Told apart", "simulated": auc, "judgement": ALIKE}  # fmt: skip
+    words = {"unit": "", "covers": "", "reason": "", "verdict": ALIKE, "colour": "green"}
     return Verdict(
-        table=pd.DataFrame([row | words]), words=(SAME,), learner="soft-bc",
+        table=pd.DataFrame([row | words]), learner="soft-bc", recordings=5,
         starts=5, rollouts=250, importance={},
         areas={"auc": {"among": Interval(among, 0.4, 0.6), "floor": Interval(floor, floor, floor)}},
     )  # fmt: skip

@@ -24,12 +24,13 @@ from report_inputs import (
 from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import DIFFERS, SAME
+from animarl_algos.evaluation.verdict_rows import ALIKE, DIFFERS, UNKNOWN, Row
+from animarl_algos.evaluation.verdict_rows import COLOURS as WORD_COLOURS
 from animarl_algos.report import player as playing
 from animarl_algos.report.page import SCRIPTS, TEMPLATES, Player, as_data
 from animarl_algos.report.player import LEVELS, at_ranks, examples, factual_rollouts, run_player
 from animarl_algos.report.style import COLOURS, FLOOR, PAGE, PURSUERS, RAISED, TARGET, TEXTS, themed
-from animarl_algos.report.verdict_section import verdict_lead, verdict_sentence
+from animarl_algos.report.verdict_section import verdict_as_table, verdict_lead, verdict_sentence
 from animarl_algos.report.words import Words, cautions, number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -95,7 +96,7 @@ def test_only_recordings_are_called_recorded() -> None:
     assert "Demonstrated" in generated and "demonstrated" in generated
     recorded = "\n".join(page_of(False).texts)
     assert "Demonstrated" not in recorded and "Recorded" in recorded
-    assert "if the recorded episode of each start is exchanged" in recorded
+    assert "Differs: it excludes zero" in recorded
 
 
 @pytest.mark.parametrize("synthetic", [True, False])
@@ -120,42 +121,44 @@ def test_numbers_are_told_in_that_unit_too() -> None:
     assert Words.of(load_packaged("agent")).unit.name == "arena units"
 
 
-def judged(words: tuple[str, ...], **row: float) -> Verdict:
-    """A verdict of one row."""
-    numbers = {"recorded": 3.0, "simulated": 2.0, "value": -1.0, "low": -1.5, "high": -0.5,
-               "reason": "", "distance": 1.0, "null": 0.4}  # fmt: skip
-    told = {"measure": "path_length", "label": "Path length", "unit": "mm", "verdict": words[0]}
-    told |= {"judgement": SAME if words == (SAME,) else DIFFERS}
-    judge = {"measure": "auc", "label": "AUC", "unit": "", "verdict": SAME, "judgement": SAME,
-             "simulated": 0.8, "value": 0.8, "low": 0.7, "high": 0.9,
-             "reason": ""}  # fmt: skip
-    table = pd.DataFrame([told | numbers | row, judge])
+def judged(judgement: str) -> Verdict:
+    """A verdict of one row and a classifier."""
+    row = Row(
+        measure="path_length", label="Path length", unit="mm", recorded=3.0, simulated=2.0,
+        value=-1.0, low=-1.5, high=-0.5, tolerance=0.3, judgement=judgement,
+        colour=WORD_COLOURS[judgement], verdict="paths too short: 2.0 for 3.0 mm", needed=40.0,
+        detectable=0.6,
+    )  # fmt: skip
+    area = Row(
+        measure="auc", label="Classifier", recorded=0.5, simulated=0.8, value=0.8, low=0.7,
+        high=0.9, tolerance=0.1, judgement=ALIKE, verdict=ALIKE,
+    )  # fmt: skip
     return Verdict(
-        table=table, words=words, learner="bc", starts=5, rollouts=10, importance={},
+        table=pd.DataFrame([row, area]), learner="bc", recordings=5, starts=5, rollouts=10,
+        importance={},
     )  # fmt: skip
 
 
-def test_every_verdict_carries_its_interval() -> None:
-    sentence = verdict_sentence(judged(("paths too short",)), Words())
+def test_every_verdict_carries_its_interval_and_its_values() -> None:
+    found = judged(DIFFERS)
+    sentence = verdict_sentence(found, Words())
     assert sentence.startswith(
-        "BC differs from the recordings (10 rollouts from 5 starts): paths too short (difference "
-        "\u22121.0 [\u22121.5, \u22120.5] mm)"
+        "BC: of 2 questions 1 is alike, 1 differs (paths too short: 2.0 for 3.0 mm)."
     )
-    assert "80 [70, 90] % of pairs" in sentence
-    spread = judged(("path lengths too much alike",), low=-1.5, high=0.5)
-    told = "[\u22121.5, 0.5] mm; distance 1.00, by chance up to 0.400 mm)"
-    assert told in verdict_sentence(spread, Words())
-    lead = verdict_lead(judged(("paths too short",)), Words())
-    assert lead.colour == "red" and "BC differs from the recordings" in lead.headline
-    assert lead.details[0].startswith("Paths too short (difference")
+    assert "in 20 of 100 pairs (50: chance)" in sentence
+    table = verdict_as_table(found, Words())
+    assert "\u22121.0 [\u22121.5, \u22120.5]" in table.groups[0].rows[0].cells
+    assert "\u00b10.300" in table.groups[0].rows[0].cells
+    lead = verdict_lead(found, Words())
+    assert lead.colour == "red" and "1 differs" in lead.headline
 
 
-def test_what_is_not_told_apart_is_not_called_equal() -> None:
-    found = judged((SAME,))
+def test_what_is_not_known_is_not_called_alike() -> None:
+    found = judged(UNKNOWN)
     for words, name in ((Words(), "recordings"), (Words(synthetic=True), "demonstrations")):
         for text in (verdict_sentence(found, words), verdict_lead(found, words).headline):
-            assert f"is not distinguishable from the {name} at this sample size" in text
-            assert "equal" not in text
+            assert f"1 is not known: 5 {name} are too few; about 40 would tell" in text
+    assert verdict_lead(found, Words()).colour == "grey"
 
 
 def unpacked(scene: dict, kind: str, individuals: int = 3) -> np.ndarray:

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.classifier import Windows, tell_apart, window_features
+from animarl_algos.evaluation.classifier import Windows, classify, window_features
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.episode import SINGLE_PRECISION, Resolution, find_resolution, rounded
@@ -96,7 +96,7 @@ def test_perfect_tracking_is_told_from_recordings_only_by_the_grid() -> None:
 
         followed = replace(recorded, positions=positions)
         rng = np.random.default_rng(0)
-        return tell_apart(windows(recorded), windows(followed), rng).auc.estimate
+        return classify(windows(recorded), windows(followed), rng).auc.estimate
 
     followed = track(demos, FLY.locomotion).positions
     assert told(followed) > 0.8
