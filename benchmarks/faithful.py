@@ -554,7 +554,9 @@ def markdown(table: pd.DataFrame) -> str:
         if rows:
             lines += ["", f"## Sets: {group}", "", "| " + " | ".join(columns) + " |"]
             lines += ["|" + "---|" * len(columns)]
-        lines += ["| " + " | ".join(text(row.get(c, math.nan)) for c in columns) + " |" for row in rows]
+        lines += [
+            "| " + " | ".join(text(row.get(c, math.nan)) for c in columns) + " |" for row in rows
+        ]
     return "\n".join(lines[1:])
 
 
