@@ -8,17 +8,17 @@
 
 Every cell (learner and seed) is fitted and trained as ``animarl train`` does, in a run
 folder of its own under ``--cells``; one that was killed goes on, a finished one is not made again.
-Then all are asked about the other condition, as ``animarl counterfactual`` does. The truth is what
-the published teams of the other condition do from the same starts. Recordings and weights lie in
-$ANIMARL_DATA (by default ../shared/data). Silkmoths are the packaged (synthetic) ones, full against
-reduced senses; beside them stands what the same network does with the other senses.
+Then every learner is asked about the other condition, as ``animarl whatif --change condition=NAME
+--truth ... --permutations N`` does. The truth is what the published teams of the other condition do
+from the same starts. Recordings and weights lie in $ANIMARL_DATA (by default ../shared/data).
+Silkmoths are the packaged (synthetic) ones, full against reduced senses; their truth is the
+recordings of the other condition.
 """
 
 from __future__ import annotations
 
 import os
 import shlex
-import shutil
 import sys
 import tempfile
 import time
@@ -26,26 +26,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pandas as pd
 import torch
 import typer
 from rich.console import Console
 
-from animarl_algos.evaluation import counterfactual_runs
-from animarl_algos.evaluation import effects as of
-from animarl_algos.evaluation.statistics import interval
+from animarl_algos import load_run
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.counterfactual_page import CounterfactualInputs
 from animarl_algos.report.words import with_interval
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run import Run
+from animarl_algos.runs.pipeline import permuted_runs
+from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
+from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.answer_page import save_answers
+from animarl_algos.whatif.truth import RECORDINGS, RecordedConditions, TeamTruth, find_truth
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.summary import unit_of
+from animarl_envs.drawing import markdown_table
 from animarl_envs.files import all_files_or_none
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
@@ -55,12 +58,10 @@ DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" 
 FOLDER = DATA / "agents_collab_hunting"
 FILES = ("episodes_c2ae_indiv_slow2.4.npz", "episodes_c2ae_share_slow2.4.npz")
 ALGOS = ("dqcil-pt", "dqdil-pt", "bc", "soft-bc")
-SPECIES, MOTH = "agent", "silkmoth"
+SPECIES = "agent"
 TINY = {"offline_epochs": 1, "policy_kwargs": {"hidden": 32}}
-SHOWN = (of.PREDICTED, of.TRUE, of.MISSED, of.UNTRAINED_SHIFT, of.BLIND, of.ERROR)
+PATH = "path length"
 PROBE_STEPS = (4000, 12_000)  # both beyond the first updates; what differs is learning as usual
-PAGE = "all"  # below the cells: the page, every table and figure
-KEPT = ("counterfactual.csv", "claims.csv")  # that is small enough
 
 
 def recorded(tiny: bool = False) -> Demonstrations:
@@ -178,25 +179,27 @@ def main(
         float, typer.Option(help="Of the preset's offline epochs, for less time.", min=0, max=1)
     ] = 1.0,
     repetitions: Annotated[int, typer.Option(help="Rollouts from each start.")] = 5,
+    permutations: Annotated[
+        int,
+        typer.Option(min=0, help="Networks of permuted conditions per learner: the null."),
+    ] = 0,
     tiny: Annotated[bool, typer.Option(help="Few episodes, one epoch: only to try it.")] = False,
     estimated: Annotated[
         bool, typer.Option("--estimate", help="Say how long the whole takes, and stop.")
     ] = False,
-    cells: Annotated[Path, typer.Option(help="Run folders, and the page.")] = Path(
+    cells: Annotated[Path, typer.Option(help="Run folders and pages.")] = Path(
         "out/counterfactual"
     ),
-    out: Annotated[Path, typer.Option(help="The tables and a figure.")] = Path(
-        "docs/results/counterfactual"
-    ),
+    out: Annotated[Path, typer.Option(help="The tables.")] = Path("docs/results/counterfactual"),
 ) -> None:
     """Train every cell, then ask all of them."""
     torch.set_num_threads(1)
     console = Console(width=128)
-    seeds, learners, truth = seed or [0, 1, 2], only or ALGOS, None
+    seeds, learners, truth = seed or [0, 1, 2], only or ALGOS, RECORDINGS
     if species == SPECIES:
         if not FOLDER.is_dir():
             raise typer.BadParameter(f"the recorded agents are not in {DATA}: set ANIMARL_DATA")
-        demos, truth = recorded(tiny), FOLDER / "weights"
+        demos, truth = recorded(tiny), str(FOLDER / "weights")
     else:
         demos = load_packaged(species)
     if estimated:
@@ -209,70 +212,81 @@ def main(
             settings = asked_for(algo, s, steps, TINY if tiny else {}, share, species)
             run = cell(demos, cells / f"{species}-{algo}-{s}", settings, fits)
             console.print(f"{run.path}: {time.process_time() - began:.0f} s")
-    folders = [cells / f"{species}-{algo}-{s}" for algo in learners for s in seeds]
-    page = cells / f"{species}-{PAGE}"
-    found = counterfactual_runs(folders, page, truth=truth, repetitions=repetitions)
-    text = markdown(found)
+    table = shifts(cells, species, learners, seeds, truth, repetitions, permutations)
+    text = markdown(table, load_run(cells / f"{species}-{learners[0]}-{seeds[0]}"))
     with all_files_or_none(out) as part:
         (part / "README.md").write_text(text)
-        for name in KEPT:
-            shutil.copyfile(page / name, part / name)
+        table.to_csv(part / "counterfactual.csv", index=False, float_format="%.6g")
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def markdown(found: CounterfactualInputs) -> str:
-    """The table of shifts with their truth, and what may be claimed."""
-    effects, conditions = found.effects, found.species.conditions
-    table = effects.table[effects.table["counting"] == "all"]
-    moths = found.species.name == MOTH
-    who, walked = ("silkmoths (synthetic)", "moth") if moths else ("recorded agents", "predators")
-    unit = unit_of(found.demos).name if moths else "arena units"
-    truth = "" if moths else (
-        " The truth: what the published teams of the other condition do from the same starts."
-    )  # fmt: skip
-    lines = [
-        f"# Counterfactuals: the {who}",
-        "",
-        f"    {shlex.join(['python', *sys.argv])}",
-        "",
-        f"{', '.join(f'{name} {number}' for name, number in versions().items())}.",
-        "",
-        f"Mean path length of the {walked} [{unit}], 95 % intervals, all episodes.{truth}",
-        "",
-        f"| method | variant | flip | seeds | {' | '.join(SHOWN)} |",
-        f"|{'---|' * (4 + len(SHOWN))}",
-    ]
-    predicted = table[table["quantity"] == of.PREDICTED]
-    for _, row in predicted.iterrows():
-        own = table[(table["method"] == row["method"]) & (table["condition"] == row["condition"])]
-        cells = [_cell(own, quantity) for quantity in SHOWN]
-        flip = f"{conditions[row['condition']]} to {conditions[row['told']]}"
-        head = [str(row["method"]), str(row["variant"]), flip, str(row["seeds"])]
-        lines.append(f"| {' | '.join(head + cells)} |")
-    lines += ["", "| difference of signed errors | condition | value |", "|---|---|---|"]
-    for _, row in table[table["quantity"] == of.ERROR_DIFFERENCE].iterrows():
-        value = with_interval(interval(row))
-        lines.append(f"| {row['method']} | {conditions[row['condition']]} | {value} |")
-    accuracy = table[table["quantity"] == of.ACCURACY].dropna(subset="value")
-    lines += ["", *(f"Treatment accuracy of {r['method']}: {r['value']:.2f} (0.5: blind)."
-                    for _, r in accuracy.iterrows())]  # fmt: skip
-    lines += [""]
-    for _, row in effects.claims.iterrows():
-        if (row["condition"], row["told"]) != found.species.planned_flip:
-            continue
-        own = table[(table["method"] == row["method"]) & (table["condition"] == row["condition"])]
-        shift, missed = _cell(own, of.PREDICTED), _cell(own, of.MISSED)
-        said = f"told apart from zero and from untrained networks: predicted {shift}"
-        if not row["worded"]:
-            said = f"no effect of the cue is claimed, for {row['reason']} (predicted {shift})"
-        flip = f"{conditions[row['condition']]} to {conditions[row['told']]}"
-        lines.append(f"- {row['method']}, {flip}, planned: {said}; predicted minus true {missed}.")
-    return "\n".join(lines) + "\n"
+def shifts(
+    cells: Path,
+    species: str,
+    learners: Sequence[str],
+    seeds: Sequence[int],
+    truth: str,
+    repetitions: int,
+    permutations: int,
+) -> pd.DataFrame:
+    """Return what every learner predicts beside the truth: the table of what-if, by ``method``.
+
+    Each learner also gets a folder with tables, figures and the page.
+    """
+    parts = []
+    for algo in learners:
+        runs = [load_run(cells / f"{species}-{algo}-{seed}") for seed in seeds]
+        nulls = permuted_runs(runs[0], cells / f"{species}-{algo}-permuted", permutations)
+        found = ask(
+            runs,
+            [f"condition={name}" for name in runs[0].species.conditions],
+            repetitions=repetitions,
+            separately=True,
+            permuted=nulls,
+            truth=find_truth(truth, runs[0], repetitions),
+        )
+        save_answers(found, cells / f"{species}-{algo}-page")
+        table = found.table.assign(seeds=len(runs))
+        table.insert(0, "method", method_name(algo))
+        parts.append(table)
+    return pd.concat(parts, ignore_index=True)
 
 
-def _cell(rows: pd.DataFrame, quantity: str) -> str:
-    chosen = rows[rows["quantity"] == quantity]
-    return "" if chosen.empty else with_interval(interval(chosen.iloc[0]))
+def markdown(table: pd.DataFrame, run: Run) -> str:
+    """Return the shifts of the path length with their truth, as a page."""
+    agents = run.species.name == SPECIES
+    source = (TeamTruth if agents else RecordedConditions).description
+    who = "recorded agents" if agents else f"packaged {run.species.name} (synthetic)"
+    rows = [
+        (
+            row["method"], row["scenario"].partition("=")[2], str(row["seeds"]),
+            *(_with_interval(row, key) for key in ("shift", "true", "miss")),
+            "" if np.isnan(row["p"]) else f"{row['p']:.2g}", row["judged"],
+        )
+        for row in table[table["quantity"] == PATH].to_dict("records")
+    ]  # fmt: skip
+    columns = ("method", "told", "seeds", "predicted shift", "true shift", "predicted - true", "p",
+               "the shift is")  # fmt: skip
+    return "\n".join(
+        [
+            f"# Counterfactuals: the {who}",
+            "",
+            f"    {shlex.join(['python', *sys.argv])}",
+            "",
+            f"{', '.join(f'{name} {number}' for name, number in versions().items())}.",
+            "",
+            f"Mean path length [{table.loc[table['quantity'] == PATH, 'unit'].iloc[0]}], 95 % "
+            f"intervals, from starts of the other condition. {source}",
+            "",
+            markdown_table(columns, rows),
+            "",
+        ]
+    )
+
+
+def _with_interval(row: dict[Any, Any], key: str) -> str:
+    ends = ("low", "high") if key == "shift" else (f"{key}_low", f"{key}_high")
+    return with_interval(Interval(row[key], *(row[end] for end in ends)))
 
 
 if __name__ == "__main__":

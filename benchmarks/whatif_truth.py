@@ -35,14 +35,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -58,7 +57,7 @@ from animarl_algos.benchmark.methods import (
 )
 from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.runs.counterfactual import permuted_runs
+from animarl_algos.runs.pipeline import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
 from animarl_algos.whatif.answer import (
@@ -72,6 +71,7 @@ from animarl_algos.whatif.answer import (
     share_as_large,
 )
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
+from animarl_algos.whatif.truth import TeamTruth, Truth, mean_by_start
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.scenario import make_scenario
@@ -114,63 +114,43 @@ QUICK = {"agent": ("prey.thrust=x1.2", "contact=x0.7", "arena=x3"), "fly": ("fem
 
 @dataclass(frozen=True, eq=False)
 class Answered:
-    """One change of one set: predicted and true rollouts, both beside the unchanged world."""
+    """One change of one set, its truth, and both in the unchanged world."""
 
-    scenario: Scenario
     reading: Reading
-    predicted: tuple[Rollouts, Rollouts]
-    true: tuple[Rollouts, Rollouts]
     answer: Answer
+    baseline: Rollouts
+    usual: Rollouts
 
 
-class Truth:
-    """What made the recordings of a run, in any world."""
+class ProgramTruth:
+    """The program that made the recordings of a run, in any world."""
 
-    def __init__(
-        self, run: Run, folder: Path | None, repetitions: int, planning: bool = False
-    ) -> None:
+    description = "The true shift is that of the program that made the recordings."
+    paired = True
+
+    def __init__(self, run: Run, repetitions: int, planning: bool = False) -> None:
         self.test, self.planning = run.demos.select(split="test"), planning
         self.unit, self.repetitions = unit_of(run.demos), repetitions
-        self.teams = teams_of(run.demos, folder)
         self.species: Species = SPECIES[run.species.name]
-        if self.teams is not None:
-            team = self.teams[0]
-            self.species = replace(
-                run.species, locomotion=team.locomotion, observation=team.observation
-            )
 
-    def roll_out(self, scenario: Scenario | None, reading: Reading, seed: int) -> Rollouts:
-        """Return rollouts from the test starts, in the unchanged world without a scenario."""
-        options = {} if scenario is None else scenario.options(self.species, self.unit)
-        species = change_world(self.species, reading, **options)
-        test = self.test if scenario is None else scenario.moved(self.test, species)
-        if self.teams is None:
-            if scenario is not None and scenario.removed:
-                left = Present.without(species, scenario.removed)
-                species, test = left.species, test.of_individuals(left.own)
-            return self._program(species, test, seed)
-        parts = []
-        for condition in np.unique(self.test.condition).tolist():
-            told = condition if scenario is None else self._told(scenario, condition)
-            own = np.flatnonzero(self.test.condition == condition)
-            team = self.teams[told]
-            made = collect_rollouts(
-                partial(
-                    make_world,
-                    make_scenario(species, demos=test.select(episodes=own), split=None),
-                ),
-                team.policy,
-                method="truth",
-                seed=seed,
-                repetitions=1 if team.reseed is None else self.repetitions,
-                reseed=team.reseed,
-            )
-            parts.append(replace(made, demo=own[made.demo]))
-        return Rollouts.concatenate(parts, "truth")
+    def check(self, scenario: Scenario) -> None:
+        """Accept every change."""
 
-    def _told(self, scenario: Scenario, condition: int) -> int:
-        name = scenario.condition
-        return condition if name is None else self.species.conditions.index(name)
+    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+        """Return what the program does from the test starts in both worlds."""
+        return self._unchanged, self._simulate(scenario, reading)
+
+    @cached_property
+    def _unchanged(self) -> Rollouts:
+        return self._simulate(Scenario(()), "habit")
+
+    def _simulate(self, scenario: Scenario, reading: Reading) -> Rollouts:
+        species = change_world(self.species, reading, **scenario.options(self.species, self.unit))
+        test = scenario.moved(self.test, species)
+        if scenario.removed:
+            left = Present.without(species, scenario.removed)
+            species, test = left.species, test.of_individuals(left.own)
+        return self._program(species, test, 0)
 
     def _program(self, species: Species, test: Demonstrations, seed: int) -> Rollouts:
         world = make_scenario(species, demos=test, split=None)
@@ -318,6 +298,13 @@ def larvae(runs: list[Run], nulls: list[Run]) -> pd.DataFrame:
     return pd.DataFrame(parts)
 
 
+def truth_of(run: Run, folder: Path | None, repetitions: int, planning: bool = False) -> Truth:
+    """Return the teams that made the recordings of a run, or else their program."""
+    if folder is not None or teams_of(run.demos) is not None:
+        return TeamTruth(run, folder, repetitions)
+    return ProgramTruth(run, repetitions, planning)
+
+
 def answered(
     runs: list[Run],
     changes: tuple[str, ...],
@@ -326,7 +313,7 @@ def answered(
     planning: bool = False,
 ) -> Iterator[Answered]:
     """Ask the clones and what made their recordings; changes of bodies in both readings."""
-    truth = Truth(runs[0], truth_folder, max(repetitions, TRUE_REPETITIONS), planning)
+    truth = truth_of(runs[0], truth_folder, max(repetitions, TRUE_REPETITIONS), planning)
     readings: tuple[Reading, ...] = ("habit",) if planning else ("habit", "knows")
     for reading in readings:
         scenarios = parse_scenarios(changes, runs[0].scenario.species, separately=True)
@@ -334,62 +321,43 @@ def answered(
         if not asked:
             continue
         texts = [scenario.name for scenario in asked]
-        found = ask(runs, texts, repetitions=repetitions, reading=reading, separately=True)
-        usual = truth.roll_out(None, reading, 0)
+        found = ask(
+            runs, texts, repetitions=repetitions, reading=reading, separately=True, truth=truth
+        )
+        usual = truth.roll_out(Scenario(()), reading)[0]
         for answer in found.answers:
-            yield Answered(
-                answer.scenario,
-                reading,
-                (found.baseline, answer.rollouts),
-                (usual, truth.roll_out(answer.scenario, reading, 0)),
-                answer,
-            )
+            yield Answered(reading, answer, found.baseline, usual)
 
 
 def rows(name: str, runs: list[Run], one: Answered) -> Iterator[dict[str, Any]]:
     """One row per quantity of a change."""
     species, test = runs[0].scenario.species, runs[0].demos.select(split="test")
-    counts = np.ones(len(test), dtype=bool)
-    if one.scenario.condition is not None:
-        counts = test.condition != species.conditions.index(one.scenario.condition)
-    unit, said = unit_of(runs[0].demos), one.answer.table.set_index("quantity")
-    measures = {measure.name: measure.values for measure in quantities_of(one.true[1], unit)}
-    for quantity in quantities_of(species, unit):
-        if quantity.name not in measures:  # of somebody who is gone
-            continue
-        measure = measures[quantity.name]
-        before, after = quantity.values(one.predicted[0]), measure(one.predicted[1])
-        usual = _by_start(one.true[0], quantity.values(one.true[0]), len(test))
-        true = _by_start(one.true[1], measure(one.true[1]), len(test)) - usual
-        demo = one.predicted[1].demo
-        mean = partial(mean_over_starts, runs=len(runs), test=test, rng=np.random.default_rng(0))
-        shift = mean(after - before, demo, counts=counts[demo])
-        miss = mean(after - before - true[demo], demo, counts=counts[demo])
-        gap = mean(before - usual[demo], demo, counts=counts[demo])
-        starts = np.arange(len(test))
-        truth = mean_over_starts(
-            true, starts, runs=1, test=test, rng=np.random.default_rng(0), counts=counts
-        )
-        clear = truth.low > 0 or truth.high < 0
-        missed = miss.low > 0 or miss.high < 0
+    scenario, counts = one.answer.scenario, np.ones(len(test), dtype=bool)
+    if scenario.condition is not None:
+        counts = test.condition != species.conditions.index(scenario.condition)
+    measures = {q.name: q.values for q in quantities_of(species, unit_of(runs[0].demos))}
+    for row in one.answer.table.to_dict("records"):
+        values, demo = measures[row["quantity"]], one.baseline.demo
+        usual = mean_by_start(one.usual, values(one.usual), len(test))
+        gap = mean_over_starts(
+            values(one.baseline) - usual[demo], demo, runs=len(runs), test=test,
+            rng=np.random.default_rng(0), counts=counts[demo],
+        )  # fmt: skip
+        clear = row["true_low"] > 0 or row["true_high"] < 0
+        missed = row["miss_low"] > 0 or row["miss_high"] < 0
         yield {
-            "set": name, "change": one.scenario.name, "reading": one.reading,
-            "quantity": quantity.name, "unit": quantity.unit, "seeds": len(runs),
-            "true": truth.estimate, "true_low": truth.low, "true_high": truth.high,
-            "predicted": shift.estimate, "low": shift.low, "high": shift.high,
-            "miss": miss.estimate, "miss_low": miss.low, "miss_high": miss.high,
+            "set": name, "change": scenario.name, "reading": one.reading,
+            "quantity": row["quantity"], "unit": row["unit"], "seeds": len(runs),
+            **{key: row[key] for key in ("true", "true_low", "true_high")},
+            "predicted": row["shift"], "low": row["low"], "high": row["high"],
+            **{key: row[key] for key in ("miss", "miss_low", "miss_high")},
             "gap": gap.estimate, "gap_low": gap.low, "gap_high": gap.high,
-            **said.loc[quantity.name, ["seeds_low", "seeds_high", "other_reading", "beyond"]],
+            **{key: row[key] for key in ("seeds_low", "seeds_high", "other_reading", "beyond")},
             "clear": clear, "covered": not missed,
-            "sign_right": bool(shift.estimate * truth.estimate > 0) if clear else None,
-            "wrong": missed and abs(miss.estimate) > WRONG * abs(truth.estimate),
-            "warning": one.answer.warning,
+            "sign_right": bool(row["shift"] * row["true"] > 0) if clear else None,
+            "wrong": missed and abs(row["miss"]) > WRONG * abs(row["true"]),
+            "warning": row["warning"],
         }  # fmt: skip
-
-
-def _by_start(rollouts: Rollouts, values: NDArray[np.float64], starts: int) -> NDArray[np.float64]:
-    total = np.bincount(rollouts.demo, values, starts)
-    return np.asarray(total / np.bincount(rollouts.demo, minlength=starts))
 
 
 def main(
@@ -437,7 +405,7 @@ def main(
         return
     agents = DATA / "agents_collab_hunting"
     changes = QUICK if quick else CHANGES
-    parts = []
+    parts: list[dict[str, Any]] = []
     for name in only or changes:
         if name == RECORDED and (method is not None or not agents.exists()):
             console.print(f"{RECORDED}: no recordings in {DATA}, or a method of others: left out")
@@ -484,7 +452,7 @@ def commit() -> str:
 
 
 def _print(console: Console, name: str, one: Answered, found: list[dict[str, Any]]) -> None:
-    title = f"{name}: {one.scenario.name} ({one.reading}), warning: {one.answer.warning}"
+    title = f"{name}: {one.answer.scenario.name} ({one.reading}), warning: {one.answer.warning}"
     table = Table(title=title, title_justify="left", box=None)
     for column in ("quantity", "true", "predicted", "predicted - true", ""):
         table.add_column(column, justify="left" if column in ("quantity", "") else "right")

@@ -87,10 +87,6 @@ NOTES: dict[str, tuple[str, str]] = {
     ),
     "mirror_symmetric": ("`True`, `False`", "whether learners may mirror its episodes at random"),
     "bodies": ("one or two names", "drawing of all individuals, or of pursuers and target"),
-    "planned_flip": (
-        "`(0, 1)`, `(1, 0)`, `None`",
-        "the paper's counterfactual: true condition of the world, and condition that policies get",
-    ),
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
     "time_cost": (NOT_NEGATIVE, "what a whole episode costs a pursuer or searcher, in captures"),
     "name": ("a word", "its name"),

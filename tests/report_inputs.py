@@ -8,13 +8,15 @@ import pandas as pd
 from moving_pairs import rollouts_along
 from recordings import episodes_along
 
-from animarl_algos.evaluation import Rollouts, cue_effects, evaluate
-from animarl_algos.evaluation.effects import measured_answers
+from animarl_algos import load_run
+from animarl_algos.evaluation import Rollouts, evaluate
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
-from animarl_algos.report.counterfactual_page import CounterfactualInputs, counterfactual_page
 from animarl_algos.report.run_page import run_page
 from animarl_algos.runs.inspecting import Decisions, Inspected, episode_page
+from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.answer_page import answer_page
+from animarl_algos.whatif.truth import find_truth
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.species import AGENT
 
@@ -95,29 +97,12 @@ def report_page() -> str:
 
 
 @cache
-def asked_page() -> str:
-    """The page of a counterfactual: one method, two teams, what nothing was learned by."""
-    demos = make_demos()
-    teams = ["team: individual", "team: shared"]
-    answers = {(name, "truth"): make_rollouts(demos, name) for name in teams}
-    for kind, seed in (("", "dqcil"), ("untrained, ", "untrained"), ("flag zeroed, ", "blind")):
-        both = make_rollouts(demos, seed, flipped=True)
-        told = both.cue == both.condition
-        answers["DQCIL", f"{kind}factual"] = both.select(told)
-        answers["DQCIL", f"{kind}flipped"] = both.select(~told)
-    episodes = measured_answers(demos, answers)
-    page = counterfactual_page(
-        CounterfactualInputs(
-            demos=demos, species=AGENT, answers=answers, teams=teams, episodes=episodes,
-            effects=cue_effects(
-                episodes, {"DQCIL": True}, teams=teams, planned=(0, 1), resamples=100
-            ),
-            seeds={"DQCIL": (0, 1)}, world={"arena": "square"}, **MADE,
-            settings={"DQCIL": {"alpha": 1.0}}, versions={"torch": "2.13.0"},
-            command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
-        )
-    )  # fmt: skip
-    return page.html()
+def whatif_page() -> str:
+    """The page of an answer: packaged agents told the other condition, beside their teams."""
+    run = load_run("agent")
+    truth = find_truth("teams", run, 1)
+    found = ask([run], ["condition=shared"], repetitions=1, truth=truth)
+    return answer_page(found, "animarl whatif agent --change condition=shared --truth teams").html()
 
 
 @cache

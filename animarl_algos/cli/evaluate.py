@@ -1,4 +1,4 @@
-"""What is made of trained runs: ``animarl evaluate``, ``whatif``, ``counterfactual`` and others.
+"""What is made of trained runs: ``animarl evaluate``, ``whatif`` and others.
 
 What they look with is imported when they run: their help waits for none of it.
 """
@@ -105,40 +105,6 @@ def evaluate_command(
 
 
 @helps(
-    runs=RUNS,
-    out=OUT,
-    truth="Folder of the published agents' weights (indiv/p1_2.4.pth, ...), to compute the true "
-    "effect; not needed for the packaged agents.",
-    repetitions=Option(min=1, help="Rollouts from each start; by default the runs'."),
-)
-def counterfactual_command(
-    runs: list[Path],
-    out: Path = Path("out/counterfactual"),
-    truth: Path | None = None,
-    repetitions: int | None = None,
-) -> None:
-    """Predict the effect of the condition, and compare it with the true effect and with chance.
-
-    Every policy gets the other condition as input, in the same world. The true effect of a chase
-    is what teams trained under the other condition do. That of a search is what the same policy
-    does with the other senses.
-
-    Example:
-
-      animarl counterfactual runs/dqcil-pt-0 runs/dqdil-pt-0 --out out/cf
-    """
-    from animarl_algos.runs.counterfactual import counterfactual_runs
-
-    found = counterfactual_runs(runs, out, truth=truth, repetitions=repetitions)
-    for _, row in found.effects.claims.iterrows():
-        names = found.species.conditions
-        said = "an effect of the cue" if row["worded"] else f"nothing is claimed: {row['reason']}"
-        flip = f"{names[row['condition']]} -> {names[row['told']]}"
-        PlainConsole(WIDTH).print(f"{row['method']}, {flip}: {said}")
-    _say_page(out)
-
-
-@helps(
     run="A run folder that was evaluated.",
     episode=Option(min=0, help="Number of the demonstration in the test split, from 0."),
     out=OUT,
@@ -197,6 +163,9 @@ def _say_page(out: Path) -> None:
     permutations=Option(
         min=0, help="For a condition: train this many networks with shuffled conditions, as a null."
     ),
+    truth="What made the recordings, to show the true shift too: teams (of the packaged agents), a "
+    "folder of the published agents' weights (indiv/p1_2.4.pth, ...), or recordings (of the other "
+    "condition).",
     knows=Option(
         "--knows", help="Individuals perceive their changed body; by default they act as before."
     ),
@@ -208,6 +177,7 @@ def whatif_command(
     repetitions: int = 5,
     separately: bool = False,
     permutations: int = 0,
+    truth: str | None = None,
     knows: bool = False,
 ) -> None:
     """Predict what would happen in a changed world.
@@ -234,7 +204,7 @@ def whatif_command(
 
       animarl whatif runs/first --change prey.thrust=x0.8..x1.2/5
 
-      animarl whatif runs/both --change condition=shared --permutations 20
+      animarl whatif runs/both --change condition=shared --permutations 20 --truth recordings
     """
     from animarl_algos.report.verdict_section import terminal_table
     from animarl_algos.runs.pretrained import load_run
@@ -242,18 +212,22 @@ def whatif_command(
     from animarl_algos.whatif.answer import ask
     from animarl_algos.whatif.answer_page import cut_note, save_answers, unchanged_table
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
+    from animarl_algos.whatif.truth import find_truth
 
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
+    known = None if truth is None else find_truth(truth, loaded[0], repetitions)
     nulls: list[Run] = []
     if permutations:
         if not any(text.partition("=")[0].strip() == CONDITION for text in change):
             raise InputError(
                 "--permutations is the null of a condition and none is changed: leave it out"
             )
-        from animarl_algos.runs.counterfactual import permuted_runs
+        from animarl_algos.runs.pipeline import permuted_runs
 
-        parse_scenarios(change, loaded[0].scenario.species, separately=separately)
+        for scenario in parse_scenarios(change, loaded[0].scenario.species, separately=separately):
+            if known is not None:  # before anything is trained
+                known.check(scenario)
         nulls = permuted_runs(
             loaded[0],
             out.with_name(f"{out.name}-permuted"),
@@ -264,6 +238,7 @@ def whatif_command(
         loaded,
         change,
         permuted=nulls,
+        truth=known,
         repetitions=repetitions,
         reading="knows" if knows else "habit",
         separately=separately,

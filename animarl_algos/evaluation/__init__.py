@@ -1,8 +1,7 @@
 """Rollouts against recordings, statistically.
 
-What looks at whole runs and writes pages (``evaluate_runs``, ``counterfactual_runs``,
-``inspect_run`` and what they work out, ``compare_runs``, ``ask_runs``, ``inspect_episode``) is
-loaded when it is first asked for.
+What looks at whole runs and writes pages (``evaluate_runs``, ``inspect_run`` and what they work
+out, ``compare_runs``, ``inspect_episode``) is loaded when it is first asked for.
 """
 
 from __future__ import annotations
@@ -12,28 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import Evaluation, evaluate
-from animarl_algos.evaluation.effects import cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.evaluation.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
-    from animarl_algos.runs.counterfactual import ask_runs, counterfactual_runs
     from animarl_algos.runs.evaluating import compare_runs, evaluate_runs
     from animarl_algos.runs.inspecting import inspect_episode, inspect_run
 
 __all__ = [
-    "Evaluation", "RandomPolicy", "Rollouts", "Verdict", "ask_runs",
-    "collect_rollouts", "compare_runs", "counterfactual_runs", "cue_effects", "evaluate",
-    "evaluate_runs", "inspect_episode", "inspect_run", "measure", "measure_recordings", "teams_of",
-    "verdict",
+    "Evaluation", "RandomPolicy", "Rollouts", "Verdict", "collect_rollouts", "compare_runs",
+    "evaluate", "evaluate_runs", "inspect_episode", "inspect_run", "measure",
+    "measure_recordings", "teams_of", "verdict",
 ]  # fmt: skip
 
 _OF_RUNS = {
-    "ask_runs": "counterfactual",
     "compare_runs": "evaluating",
-    "counterfactual_runs": "counterfactual",
     "evaluate_runs": "evaluating",
     "inspect_episode": "inspecting",
     "inspect_run": "inspecting",

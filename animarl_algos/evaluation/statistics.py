@@ -76,11 +76,6 @@ class Cells:
     counts: Floats
     lacking: str = NO_VALUE
 
-    @classmethod
-    def absent(cls, lacking: str) -> Cells:
-        """Return cells of nobody and nothing."""
-        return cls(np.zeros((0, 0)), np.zeros((0, 0)), lacking)
-
     @property
     def mean(self) -> float:
         total = self.counts.sum()

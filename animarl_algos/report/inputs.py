@@ -9,7 +9,7 @@ from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report.figures import Stage, contact_drawn
 from animarl_algos.report.page import Block, Pairs, Text
-from animarl_algos.report.words import ARROW, Words
+from animarl_algos.report.words import Words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
@@ -73,10 +73,6 @@ class PageInputs:
         """Return the name of a condition."""
         names = () if self.species is None else self.species.conditions
         return names[number] if len(names) > number else f"condition {number}"
-
-    def flip(self, of: int, told: int) -> str:
-        """Return the names of a condition and of the one that was told instead."""
-        return f"{self.condition(of)}{ARROW}{self.condition(told)}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

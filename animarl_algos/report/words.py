@@ -20,7 +20,7 @@ from animarl_algos.report.style import method_label
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RECORDED_SCALE, Unit, unit_of
 
-MINUS, NOTHING, ARROW = "\u2212", "\u2013", " \u2192 "
+MINUS, NOTHING = "\u2212", "\u2013"
 FEW_SEEDS = 5
 ENDINGS = {"ed": "demonstrated", "ings": "demonstrations", "ing": "demonstration"}
 WITHOUT_GOAL = {"pursuers (or the moth's)": "animals", ": all episodes, and captures only": ""}

@@ -483,20 +483,19 @@ class Run:
         scenario: Scenario | None = None,
         repetitions: int | None = None,
         seed: int | None = None,
-        draws: int = 0,
         wrap: Callable[[Policy], Policy] = lambda policy: policy,
         make: Callable[[int], Any] | None = None,
     ) -> Rollouts:
         """Return rollouts of a policy from every start of a world, told ``cue``.
 
-        Whatever it is told, a policy gets the same random numbers, and so does the world; another
-        number of ``draws`` gives the policy others. ``wrap`` returns what acts in its place,
-        ``make`` copies of a world. World, ``repetitions`` and ``seed`` are by default the run's.
+        Whatever it is told, a policy gets the same random numbers, and so does the world. ``wrap``
+        returns what acts in its place, ``make`` copies of a world. World, ``repetitions`` and
+        ``seed`` are by default the run's.
         """
 
         def reseed(seed: int) -> None:
             if isinstance(policy, SequenceQLearning):
-                policy.policy.seed(seed + draws)
+                policy.policy.seed(seed)
 
         return collect_rollouts(
             make or partial(make_world, scenario or self.scenario),

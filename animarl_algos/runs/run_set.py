@@ -90,11 +90,6 @@ class RunSet:
         """The world of all; what is observed in it is that of the first run."""
         return self.first.species
 
-    @property
-    def seeds(self) -> dict[str, tuple[int, ...]]:
-        """Training seeds by method."""
-        return {name: tuple(r.settings.seed for r in some) for name, some in self.methods.items()}
-
     def page_inputs(self) -> dict[str, Any]:
         """Return what every page says of its runs: species, world, machine, time and versions.
 

@@ -21,6 +21,7 @@ from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.absent import Present, simulate_from
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
+from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
@@ -91,7 +92,8 @@ class Answer:
         ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
         and ``p`` how often these move any quantity as far.
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
-        falls.
+        falls. Where the truth is known, ``true, true_low, true_high`` are the true shift, and
+        ``miss, miss_low, miss_high`` the predicted minus the true one.
     warning
         ``none``, ``some`` or ``red``.
     reason
@@ -102,6 +104,8 @@ class Answer:
         In the changed world, all runs.
     species
         The changed world.
+    true
+        Episodes of the truth in the changed world, where it is known.
     """
 
     scenario: Scenario
@@ -111,6 +115,7 @@ class Answer:
     thrusts: Mapping[str, float]
     rollouts: Rollouts
     species: Species
+    true: Rollouts | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +130,8 @@ class WhatIf:
         Training seeds, and rollouts from each start and of each of them.
     reading
         What policies perceive of a changed body.
+    truth
+        What made the recordings, where it is known.
     """
 
     baseline: Rollouts
@@ -134,6 +141,7 @@ class WhatIf:
     runs: int
     repetitions: int
     reading: Reading
+    truth: Truth | None = None
 
     @property
     def table(self) -> pd.DataFrame:
@@ -150,6 +158,7 @@ def ask(
     separately: bool = False,
     seed: int = 0,
     permuted: Sequence[TrainedRun] = (),
+    truth: Truth | None = None,
     on_baseline: Callable[[pd.DataFrame], None] | None = None,
     on_answer: Callable[[Answer], None] | None = None,
 ) -> WhatIf:
@@ -171,8 +180,11 @@ def ask(
         Of the resamples.
     permuted
         Runs of the same learner that were trained with the conditions of their recordings permuted
-        (:func:`animarl_algos.runs.counterfactual.permuted_runs`). Their shifts are the null of a
+        (:func:`animarl_algos.runs.pipeline.permuted_runs`). Their shifts are the null of a
         cue: they say how far it moves by the choice of training recordings alone.
+    truth
+        What made the recordings (:func:`animarl_algos.whatif.truth.find_truth`): its shift stands
+        beside the predicted one.
     on_baseline
         Is told first how far the unchanged simulation is from the recordings; columns
         ``quantity, unit, recorded, baseline, gap``.
@@ -199,19 +211,29 @@ def ask(
     unit = unit_of(first.demos)
     for scenario in scenarios:
         _check(scenario, first, unit)
-    asker, *nulls = (
-        _Asker(some, unit, repetitions, reading, seed)
+        if truth is not None:
+            truth.check(scenario)
+    comparison, *nulls = (
+        _Comparison(some, unit, repetitions, reading, seed)
         for some in (runs, *([run] for run in permuted))
     )
+    comparison.truth = truth
     if on_baseline is not None:
-        on_baseline(asker.unchanged())
+        on_baseline(comparison.unchanged())
     answers = []
     for scenario in scenarios:
-        answers.append(asker.answer(scenario, nulls if scenario.condition is not None else ()))
+        answers.append(comparison.answer(scenario, nulls if scenario.condition is not None else ()))
         if on_answer is not None:
             on_answer(answers[-1])
     return WhatIf(
-        asker.baseline, tuple(answers), asker.test, species, len(runs), repetitions, reading
+        comparison.baseline,
+        tuple(answers),
+        comparison.test,
+        species,
+        len(runs),
+        repetitions,
+        reading,
+        truth,
     )
 
 
@@ -237,7 +259,7 @@ def _check(scenario: Scenario, run: TrainedRun, unit: Unit) -> None:
         )
 
 
-class _Asker:
+class _Comparison:
     """Simulates baseline and scenarios once each, and compares them."""
 
     def __init__(
@@ -245,6 +267,7 @@ class _Asker:
     ) -> None:
         self.runs, self.unit, self.repetitions = runs, unit, repetitions
         self.reading, self.seed = reading, seed
+        self.truth: Truth | None = None
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
@@ -253,7 +276,7 @@ class _Asker:
         # What stands beside recordings that were cut stops there too.
         self.comparable = censored(self.baseline, self.test)
 
-    def answer(self, scenario: Scenario, nulls: Sequence[_Asker] = ()) -> Answer:
+    def answer(self, scenario: Scenario, nulls: Sequence[_Comparison] = ()) -> Answer:
         """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
         thrusts = self._thrusts(scenario)
         options = scenario.options(self.species, self.unit, thrusts)
@@ -262,7 +285,8 @@ class _Asker:
         if scenario.moves_bodies:
             reading: Reading = "knows" if self.reading == "habit" else "habit"
             other = self._simulate(scenario, options, reading)[0]
-        table = pd.DataFrame(self._rows(scenario, changed, other))
+        true = None if self.truth is None else self.truth.roll_out(scenario, self.reading)
+        table = pd.DataFrame(self._rows(scenario, changed, other, true))
         more, inputs = (now - usual for now, usual in zip(beyond, self.usual))
         warning, reason = self._warning(more, inputs, table)
         low = high = p = np.full(len(table), np.nan)
@@ -279,7 +303,8 @@ class _Asker:
         species = change_world(self.species, **options)
         if scenario.removed:
             species = Present.without(species, scenario.removed).species
-        return Answer(scenario, table, warning, reason, thrusts, changed, species)
+        shown = true[1] if true is not None else None
+        return Answer(scenario, table, warning, reason, thrusts, changed, species, shown)
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world, cut as they were."""
@@ -362,7 +387,11 @@ class _Asker:
         )
 
     def _rows(
-        self, scenario: Scenario, changed: Rollouts, other: Rollouts | None
+        self,
+        scenario: Scenario,
+        changed: Rollouts,
+        other: Rollouts | None,
+        true: tuple[Rollouts, Rollouts] | None = None,
     ) -> Iterator[dict[str, Any]]:
         """One row per quantity."""
         covers = "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
@@ -378,29 +407,79 @@ class _Asker:
                 continue
             measure = measures[quantity.name].values
             before, after = quantity.values(self.baseline), measure(changed)
-            shift = self._mean(changed, after - before, counts)
+            shift = self._mean(after - before, changed.demo, counts)
             further = float("nan")
             if other is not None:
-                further = self._mean(other, measure(other) - before, counts).estimate
-            baseline = self._mean(self.baseline, before, counts).estimate
-            true = float(np.nanmean(quantity.values(recorded)[shown]))
+                further = self._mean(measure(other) - before, other.demo, counts).estimate
+            baseline = self._mean(before, self.baseline.demo, counts).estimate
+            real = float(np.nanmean(quantity.values(recorded)[shown]))
             comparable = quantity.values(self.comparable)
-            gap = self._mean(self.comparable, comparable, counts).estimate - true
+            gap = self._mean(comparable, self.comparable.demo, counts).estimate - real
             counted = np.where(counts, after - before, np.nan).reshape(len(self.runs), -1)
             seeds = np.nanmean(counted, axis=1)
             yield {
                 "scenario": scenario.name, "quantity": quantity.name, "unit": quantity.unit,
-                "recorded": true, "baseline": baseline, "changed": baseline + shift.estimate,
+                "recorded": real, "baseline": baseline, "changed": baseline + shift.estimate,
                 "shift": shift.estimate, "low": shift.low, "high": shift.high,
                 "gap": gap, "covers": covers, "other_reading": further,
                 "seeds_low": seeds.min(), "seeds_high": seeds.max(),
-            }  # fmt: skip
+            } | (
+                {}
+                if true is None
+                else self._compare_with_truth(
+                    true, (quantity.values(true[0]), measure(true[1])), changed, after - before,
+                    counts,
+                )
+            )  # fmt: skip
 
-    def _mean(self, rollouts: Rollouts, values: Floats, counts: NDArray[np.bool_]) -> Interval:
+    def _compare_with_truth(
+        self,
+        true: tuple[Rollouts, Rollouts],
+        values: tuple[Floats, Floats],
+        changed: Rollouts,
+        shifts: Floats,
+        counts: NDArray[np.bool_],
+    ) -> dict[str, float]:
+        """Return the true shift of a quantity, and the predicted minus the true one.
+
+        Parameters
+        ----------
+        true, values
+            True episodes in the unchanged and in the changed world, and the quantity of each.
+        changed, shifts, counts
+            Rollouts in the changed world, the shift of each, and whether it counts.
+        """
+        assert self.truth is not None
+        if self.truth.paired:
+            starts = np.arange(len(self.test))
+            before, after = (mean_by_start(*pair, len(starts)) for pair in zip(true, values))
+            by_start, counted = after - before, np.isin(starts, changed.demo[counts])
+            effect = self._mean(by_start, starts, counted, runs=1)
+            miss = self._mean(shifts - by_start[changed.demo], changed.demo, counts)
+        else:
+            usual, there = (
+                self._mean(one, made.demo, np.ones(len(one), dtype=bool), runs=1)
+                for made, one in zip(true, values)
+            )
+            effect = subtract(there, usual)
+            miss = subtract(self._mean(shifts, changed.demo, counts), effect)
+        return {
+            f"{name}{end}": number
+            for name, value in (("true", effect), ("miss", miss))
+            for end, number in (("", value.estimate), ("_low", value.low), ("_high", value.high))
+        }
+
+    def _mean(
+        self,
+        values: Floats,
+        demo: NDArray[np.int64],
+        counts: NDArray[np.bool_],
+        runs: int | None = None,
+    ) -> Interval:
         return mean_over_starts(
             values,
-            rollouts.demo,
-            runs=len(self.runs),
+            demo,
+            runs=runs or len(self.runs),
             test=self.test,
             rng=np.random.default_rng(self.seed),
             counts=counts,

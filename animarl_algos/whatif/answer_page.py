@@ -74,8 +74,9 @@ def what_it_is(found: WhatIf) -> str:
     null = ""
     if table["p"].notna().any():
         null = ", of which p does: how often networks of permuted conditions shift as far"
-    told = WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null)
-    return f"{told} {cut_note(found)}".strip()
+    text = WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null)
+    truth = "" if found.truth is None else found.truth.description
+    return " ".join(filter(None, [text, truth, cut_note(found)]))
 
 
 def cut_note(found: WhatIf) -> str:
@@ -117,9 +118,10 @@ def findings(answer: Answer) -> list[str]:
     for _, row in table[table["finding"]].iterrows():
         size, *ends = (abs(_factor(row) * row[key]) for key in ("shift", "low", "high"))
         unit = "percentage points" if row["unit"] == "share" else row["unit"]
+        truth = f"; the true shift is {_with_interval(row, 'true')} {unit}" if "true" in row else ""
         found.append(
             f"{capitalised(row['quantity'])} {row['judged']} by {size:.3g} {unit} "
-            f"[{', '.join(f'{end:.3g}' for end in sorted(ends))}]."
+            f"[{', '.join(f'{end:.3g}' for end in sorted(ends))}]{truth}."
         )
     return found or ["No shift is clear of chance and of the gap."]
 
@@ -200,6 +202,7 @@ def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") 
             "Shift [95 % interval]": lambda row: with_interval(
                 scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))
             ),
+            **(_truth_columns() if "true" in answers[0].table else {}),
             "Shift is": lambda row: (
                 row["judged"] + (f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else "")
             ),
@@ -230,6 +233,18 @@ def _means(recorded: str) -> dict[str, Callable[[pd.Series], str]]:
     }
 
 
+def _truth_columns() -> dict[str, Callable[[pd.Series], str]]:
+    return {
+        "True shift": lambda row: _with_interval(row, "true"),
+        f"Shift\n{MINUS} true": lambda row: _with_interval(row, "miss"),
+    }
+
+
+def _with_interval(row: pd.Series, key: str) -> str:
+    value = Interval(row[key], row[f"{key}_low"], row[f"{key}_high"])
+    return with_interval(scaled(value, _factor(row)))
+
+
 def _factor(row: pd.Series) -> float:
     return 100.0 if row["unit"] == "share" else 1.0
 
@@ -243,6 +258,8 @@ def _figures(found: WhatIf) -> page.Gallery:
         "Shift of every quantity with its 95 % interval. The band is the gap between the unchanged "
         "simulation and the recordings. Grey: no finding. Hollow: behind a warning."
     )
+    if found.truth is not None:
+        caption += " Beside each shift stands the true one."
     doses = _doses(found)
     if doses is not None:
         images += _dose_images(found.table, *doses)
@@ -254,18 +271,25 @@ def _figures(found: WhatIf) -> page.Gallery:
 def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
     """One panel per quantity, one row per scenario."""
     for quantity, rows in table.groupby("quantity", sort=False):
-        names = rows["scenario"].tolist()
-        colours = np.where(rows["finding"], style.BLUE.hex, style.MUTED.hex)
-        shifts = map(Interval, rows["shift"], rows["low"], rows["high"])
-        size = float(np.nanmax(np.abs(rows[["shift", "low", "high", "gap"]].to_numpy())))
+        names, columns = rows["scenario"].tolist(), ["shift", "low", "high", "gap"]
+        shifts = dict(zip(names, map(Interval, rows["shift"], rows["low"], rows["high"])))
+        found = np.where(rows["finding"], style.BLUE.hex, style.MUTED.hex)
+        colours = dict(zip(names, found.tolist()))
+        if "true" in rows:
+            ends = ["true", "true_low", "true_high"]
+            columns += ends
+            true = [f"{name}: true" for name in names]
+            shifts |= dict(zip(true, map(Interval, *(rows[key] for key in ends))))
+            colours |= dict.fromkeys(true, style.TARGET.hex)
+        size = float(np.nanmax(np.abs(rows[columns].to_numpy())))
         figure = figures.interval_rows(
-            dict(zip(names, shifts)),
+            shifts,
             f"Shift ({rows['unit'].iloc[0]})",
             title=str(quantity),
             reference=0.0,
             limits=None if size > SMALLEST_SHIFT else (-1.0, 1.0),
             band=abs(float(rows["gap"].iloc[0])),
-            colours=dict(zip(names, colours)),
+            colours=colours,
             hollow=rows.loc[rows["warning"] != Caution.NONE, "scenario"].tolist(),
         )
         yield to_image(figure, f"Shift of {quantity} by change")
@@ -312,14 +336,17 @@ def _dose_images(table: pd.DataFrame, name: str, doses: list[float]) -> Iterator
 def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
     """Play the unchanged world beside each change, and beside the recordings."""
     played = found.answers[:MOST_PLAYED]
+    paired = found.truth is not None and found.truth.paired
+    true = {k: one.true for k, one in enumerate(played) if paired and one.true is not None}
     views = []
     for k, answer in enumerate(played):
         guess = " (a guess)" if answer.warning == Caution.RED else ""
         changed = inputs.stage.of(answer.species)
-        views.append(
-            player.view(f"change-{k}", UNCHANGED, UNCHANGED, f"{answer.scenario.name}{guess}",
-                 f"change-{k}", changed)
-        )  # fmt: skip
+        title, key = f"{answer.scenario.name}{guess}", f"change-{k}"
+        views.append(player.view(key, UNCHANGED, UNCHANGED, title, key, changed))
+        if k in true:
+            team = f"{answer.scenario.name}: the team that made the recordings"
+            views.append(player.view(f"true-{k}", team, f"true-{k}", title, key, changed))
     views.append(player.view(UNCHANGED, inputs.recorded, RECORDED, UNCHANGED, UNCHANGED))
     recorded = Rollouts.from_demonstrations(found.demos)
     quantity = next(quantities_of(found.species, unit_of(found.demos)))
@@ -336,6 +363,9 @@ def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
         start = int(found.baseline.demo[i])
         tracks = {RECORDED: (recorded, start), UNCHANGED: (found.baseline, i)}
         tracks |= {f"change-{k}": (answer.rollouts, i) for k, answer in enumerate(played)}
+        tracks |= {
+            f"true-{k}": (made, int(np.argmax(made.demo == start))) for k, made in true.items()
+        }
         scenes.append((f"Start {start}", tracks))
     said = f"{len(scenes)} test starts, in both worlds with the same random numbers."
     return player.play(inputs, scenes, views, said)

@@ -17,7 +17,6 @@ AGENT = ChaseSpecies(
     conditions=("individual", "shared"),  # who is rewarded for a capture
     shared_reward=True,
     mirror_symmetric=False,  # their networks were trained without that in mind
-    planned_flip=(0, 1),
     start_half_side=0.5,
     recording=Recording(frame_rate=10.0, onset_threshold=0.3),
     bodies=("predator", "prey"),

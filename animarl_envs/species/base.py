@@ -48,16 +48,14 @@ class Species(ABC):
     several targets the targets first. What all species of a
     world have in common are class attributes: ``world`` and ``script`` name the simulator and the
     scripted rule (``animarl_envs.worlds`` has them by name), ``length_unit`` is what an arena unit
-    is called, ``condition_is_sensed`` says whether the condition changes what is sensed, and so
-    what happens, or the reward alone, and ``pretrained_main`` whether the paper's main
-    counterfactual is that of pretrained learners.
+    is called, and ``condition_is_sensed`` says whether the condition changes what is sensed, and so
+    what happens, or the reward alone.
     """
 
     world: ClassVar[str]
     script: ClassVar[str]
     length_unit: ClassVar[str] = "arena unit"
     condition_is_sensed: ClassVar[bool] = False
-    pretrained_main: ClassVar[bool] = True
     observations: ClassVar[tuple[str, ...]] = (COMPACT, "full", "paper")
 
     name: str
@@ -76,7 +74,6 @@ class Species(ABC):
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     traits: Traits | None = None  # in which individuals differ; None: they are all alike
     mirror_symmetric: bool = True  # left and right are alike to it
-    planned_flip: tuple[int, int] | None = None  # conditions (world, cue) that the paper compares
     recording: Recording
     bodies: tuple[str, ...] = (PLAIN_BODY,)  # in pictures; a second one is the target's
     source: str = ""
@@ -128,13 +125,6 @@ class Species(ABC):
         if not isinstance(self.traits, Traits | None):
             raise InputError(f"traits is {self.traits!r}: give Traits or None")
         object.__setattr__(self, "bodies", checked_bodies(self.bodies))
-        flip = self.planned_flip
-        if flip is not None and (not self.conditions or tuple(flip) not in ((0, 1), (1, 0))):
-            raise InputError(
-                f"planned_flip is {flip!r}: give (0, 1) or (1, 0) to a species with conditions, "
-                "or None"
-            )
-        object.__setattr__(self, "planned_flip", flip and tuple(flip))  # files hold lists
 
     @property
     def num_individuals(self) -> int:

@@ -24,7 +24,6 @@ class SearchSpecies(Species):
     script: ClassVar[str] = "programmed moth"
     length_unit: ClassVar[str] = "metre"
     condition_is_sensed: ClassVar[bool] = True
-    pretrained_main: ClassVar[bool] = False
     observations: ClassVar[tuple[str, ...]] = (*Species.observations, "odour")
 
     metres_per_unit: float = 1.0  # the plume is in metres

@@ -31,7 +31,6 @@ SILKMOTH = SearchSpecies(
     time_limit=600,
     warmup=10,
     conditions=("full senses", "wind and vision blocked"),
-    planned_flip=(1, 0),
     recording=Recording(frame_rate=30.0, onset_threshold=0.01),
     bodies=("moth",),
     source="Fujii et al., Silkmoth dataset and Table 1; Yamada et al. 2021, eLife",

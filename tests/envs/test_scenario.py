@@ -24,11 +24,6 @@ def test_no_options_leave_the_species_as_it_is_and_a_larger_arena_keeps_its_marg
     assert with_options(AGENT, arena=disc).arena == disc
 
 
-def test_a_planned_flip_of_a_file_is_that_of_a_program() -> None:
-    """Files hold lists; claims look for the pair."""
-    assert with_options(AGENT, planned_flip=[1, 0]).planned_flip == (1, 0)
-
-
 def test_pursuers_are_renamed_and_keep_their_locomotion() -> None:
     slow, fast, prey = Locomotion(0.25, 2.4), Locomotion(0.25, 3.0), Locomotion(0.25, 3.5)
     species = with_options(with_options(AGENT, locomotion=(slow, fast, prey)), num_pursuers=3)

@@ -138,7 +138,7 @@ def commands() -> list[list[str]]:
 
 def test_every_command_is_shown() -> None:
     names = [words[1] for words in commands()]
-    assert names == ["data", "run", "run", "run", "run", "evaluate", "counterfactual", "inspect"]
+    assert names == ["data", "run", "run", "run", "run", "evaluate", "whatif", "inspect"]
     assert all(words[0] == "animarl" for words in commands())
 
 

@@ -1,4 +1,4 @@
-"""``animarl evaluate``, ``counterfactual`` and ``inspect``: many runs in, tables and a page out."""
+"""``animarl evaluate`` and ``inspect``: many runs in, tables and a page out."""
 
 import hashlib
 import json
@@ -142,13 +142,12 @@ def test_runs_that_differ_are_refused_by_what_differs(
     file.write_text(json.dumps(record))
     refused(animarl("evaluate", runs[0], unlike.path, "--out", "never"), "gamma", "0.5")
     moth = made(tmp_path / "m", species="silkmoth", rolled_out=False)
-    for command in ("evaluate", "counterfactual"):
-        done = animarl(command, runs[0], moth.path, "--out", "never")
-        refused(done, "species: silkmoth and agent")
+    done = animarl("evaluate", runs[0], moth.path, "--out", "never")
+    refused(done, "species: silkmoth and agent")
     assert not (tmp_path / "never").exists()
 
 
-@pytest.mark.parametrize("command", ["evaluate", "counterfactual", "inspect"])
+@pytest.mark.parametrize("command", ["evaluate", "inspect"])
 def test_bad_input_is_one_sentence(
     command: str, animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:
@@ -159,12 +158,8 @@ def test_bad_input_is_one_sentence(
     refused(animarl(command, empty, *more, "--out", "o"), "not a run folder")
     copy = tmp_path / "copy"
     shutil.copytree(runs[0], copy)
-    if command == "counterfactual":
-        shutil.rmtree(copy / "policies")
-        refused(animarl(command, copy, "--out", "o"), "no trained policy", "animarl run")
-    else:
-        shutil.rmtree(copy / "rollouts")
-        refused(animarl(command, copy, *more, "--out", "o"), "no rollouts", "animarl evaluate")
+    shutil.rmtree(copy / "rollouts")
+    refused(animarl(command, copy, *more, "--out", "o"), "no rollouts", "animarl evaluate")
     (tmp_path / "file").write_text("in the way")
     refused(animarl(command, runs[0], *more, "--out", "file"), "it is a file")
     refused(animarl(command, runs[0], *more, "--out", runs[1]), "it is a run folder")
@@ -176,9 +171,8 @@ def test_bad_input_is_one_sentence(
         refused(animarl(command, spoilt, "--out", "o"), "progress.csv", "cannot be read")
         refused(animarl(command, *runs, "--acting", "greedy", "--out", "o"), "--acting")
         refused(animarl(command, *runs), "--out")
-    if command != "counterfactual":
-        (spoilt / "rollouts" / "DQCIL-PT.npz").write_bytes(b"PK\x03\x04 cut")
-        refused(animarl(command, spoilt, *more, "--out", "o"), "DQCIL-PT.npz", "damaged")
+    (spoilt / "rollouts" / "DQCIL-PT.npz").write_bytes(b"PK\x03\x04 cut")
+    refused(animarl(command, spoilt, *more, "--out", "o"), "DQCIL-PT.npz", "damaged")
     assert not (tmp_path / "o").exists()
 
 
@@ -235,51 +229,3 @@ def test_one_episode_is_looked_at(
     assert np.allclose(values.groupby("step")["advantage"].sum(), 0.0, atol=1e-6)
     gone = animarl("inspect", runs[0], "--episode", 6, "--out", "out")
     refused(gone, "no test episode 6", "0 to 5")
-
-
-def test_shifts_have_their_truth(
-    animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
-) -> None:
-    for out in ("first", "second"):
-        said = succeeded(animarl("counterfactual", *runs, "--out", out))
-    assert "nothing is claimed: 2 training seeds" in said
-    out = tmp_path / "first"
-    whole(out, {"counterfactual", "claims", "episodes"})
-    page = (out / "report.html").read_text()
-    assert contents(out) == contents(tmp_path / "second")
-    table = pd.read_csv(out / "counterfactual.csv")
-    episodes = pd.read_csv(out / "episodes.csv")
-    test = few().select(split="test")
-    means = episodes[episodes["answer"] == "truth"].groupby(["method", "demo"])["path_length"]
-    by_start = means.mean()
-    true = (by_start["team: shared"] - by_start["team: individual"])[test.condition == 0]
-    row = table[
-        (table["quantity"] == "true shift") & (table["condition"] == 0)
-        & (table["counting"] == "all") & (table["method"] == "DQCIL-PT")
-    ].iloc[0]  # fmt: skip
-    assert row["value"] == pytest.approx(true.mean()) and row["planned"]
-    assert row["low"] <= row["value"] <= row["high"]
-    accuracy = table[table["quantity"] == "treatment accuracy"].set_index("method")["value"]
-    assert 0 <= accuracy["DQCIL-PT"] <= 1 and np.isnan(accuracy["DQDIL-PT"])
-    assert set(table["variant"].dropna()) == {"main"}
-    page = (out / "report.html").read_text()
-    assert "no effect of the cue is claimed" in page and "predicted" in page.casefold()
-
-
-def test_a_search_is_its_own_truth_in_the_other_world(
-    animarl: Callable[..., Done], tmp_path: Path
-) -> None:
-    options = {"time_limit": 60, "labels": "soft"}
-    demos = few("silkmoth", test=1)
-    run = made(tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options)
-    succeeded(animarl("counterfactual", run.path, "--repetitions", 2, "--out", "out"))
-    episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
-    recorded = episodes[episodes["answer"] == "recorded"].set_index("demo")["condition"]
-    other = episodes[episodes["answer"] == "other world"]
-    assert len(other) == 4  # two starts, twice each
-    assert (other["condition"].to_numpy() == 1 - recorded.loc[other["demo"]].to_numpy()).all()
-    assert (other["cue"] == other["condition"]).all()
-    table = pd.read_csv(tmp_path / "out" / "counterfactual.csv")
-    rows = table[(table["quantity"] == "true shift") & (table["counting"] == "all")]
-    assert rows["value"].notna().all() and set(table["variant"].dropna()) == {"main"}
-    refused(animarl("counterfactual", run.path, "--truth", tmp_path, "--out", "never"), "--truth")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from browser import listen
-from report_inputs import asked_page, inspected_page, report_page
+from report_inputs import inspected_page, report_page, whatif_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -20,7 +20,7 @@ ENDINGS = ("contact by", "time-out", "target left", "a pursuer left")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("pages")
-    for name, page in (("report", report_page()), ("counterfactual", asked_page())):
+    for name, page in (("report", report_page()), ("whatif", whatif_page())):
         (path / f"{name}.html").write_text(page, encoding="utf-8")
     return path
 
@@ -131,13 +131,13 @@ def test_zoomed_in_the_animals_stay_in_the_middle(open_page: Open) -> None:
     assert drawn(page) == whole
 
 
-def test_a_counterfactual_opens_with_factual_beside_flipped_and_the_team(open_page: Open) -> None:
-    page = open_page(name="counterfactual")
+def test_an_answer_opens_with_both_worlds_and_the_team(open_page: Open) -> None:
+    page = open_page(name="whatif")
     titles = page.locator("#view option").all_inner_texts()
     assert titles == [
-        "told the other condition beside DQCIL, factual",
-        "DQCIL, told the other condition beside team of the other condition",
-        "DQCIL, factual beside demonstrated",
+        "condition=shared beside unchanged",
+        "condition=shared beside condition=shared: the team that made the recordings",
+        "unchanged beside demonstrated",
     ]
     assert page.locator("#panels").bounding_box()["y"] < 900
     shown = []
@@ -145,9 +145,9 @@ def test_a_counterfactual_opens_with_factual_beside_flipped_and_the_team(open_pa
         page.select_option("#view", str(view))
         page.locator("#time").fill("6")
         shown.append(drawn(page))
-    (factual, flipped), (team, again), (recorded, same) = shown
-    assert (again, same) == (flipped, factual)
-    assert len({factual, flipped, team, recorded}) == 4
+    (unchanged, changed), (team, again), (recorded, same) = shown
+    assert (again, same) == (changed, unchanged)
+    assert len({unchanged, changed, team, recorded}) == 4
 
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
@@ -215,7 +215,7 @@ def test_figures_and_tables_are_saved(open_page: Open, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize(("name", "least"), [("report", 16), ("counterfactual", 4)])
+@pytest.mark.parametrize(("name", "least"), [("report", 16), ("whatif", 4)])
 def test_nothing_overflows_and_pictures_are_there(
     open_page: Open, width: int, name: str, least: int
 ) -> None:
@@ -314,7 +314,7 @@ def test_the_button_changes_the_theme_of_page_and_figures(open_page: Open) -> No
     assert not page.is_visible("#player") and page.is_visible(".lead")
 
 
-PAGES = {"report": report_page, "counterfactual": asked_page, "inspection": inspected_page}
+PAGES = {"report": report_page, "whatif": whatif_page, "inspection": inspected_page}
 SAME_LINE = 2.0  # [pt]
 # What goes with the thing below it, and the captions that go with the picture above.
 BEFORE = "h2, h3, section > p, figure.table > figcaption, summary, tr.group"

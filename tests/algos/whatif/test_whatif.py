@@ -15,12 +15,12 @@ from recordings import cut_short
 from refusals import refuses
 
 from animarl_algos import load_run
-from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
+from animarl_algos.runs.pipeline import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
 from animarl_algos.whatif.answer import NO_INTERVAL, ask, judge, share_as_large
 from animarl_algos.whatif.answer_page import answer_page, findings, words
-from animarl_algos.whatif.changes import parse_change, parse_scenarios
+from animarl_algos.whatif.changes import Scenario, parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy, in_words, others_in_order
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
@@ -29,7 +29,7 @@ from animarl_envs.species.traits import Traits
 from animarl_envs.worlds import make_world, observation_components
 from animarl_envs.worlds.plume.plume import ModelPlume
 from benchmarks.whatif_bars import bars, held_out_rules, page, summary, warned
-from benchmarks.whatif_truth import Truth, answered, entered_run, false_claims, rows
+from benchmarks.whatif_truth import answered, entered_run, false_claims, rows, truth_of
 
 AGENT, MOTH = get_species("agent"), get_species("silkmoth")
 MM = Unit("mm", 500.0)
@@ -497,7 +497,7 @@ def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is
     found = list(answered([run], ("prey.thrust=x0.8", "arena=x3"), 2, None))
     table = pd.DataFrame([row for one in found for row in rows("agent", [run], one)])
     # A thrust is asked in both readings, an arena has one.
-    assert [(one.scenario.name, one.reading) for one in found] == [
+    assert [(one.answer.scenario.name, one.reading) for one in found] == [
         ("prey.thrust=x0.8", "habit"), ("arena=x3", "habit"), ("prey.thrust=x0.8", "knows"),
     ]  # fmt: skip
     of = table.set_index(["change", "reading", "quantity"])
@@ -560,10 +560,10 @@ def test_simulators_of_others_can_enter(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize("name", ["agent", "fly", "silkmoth"])
 def test_the_truth_in_the_unchanged_world_is_like_the_recordings(name: str) -> None:
     run = load_run(name)
-    truth = Truth(run, None, 4)
-    made = truth.roll_out(None, "habit", 0)
-    assert set(made.demo) == set(range(len(truth.test)))
-    seconds = (truth.test.lengths - 1).mean() * run.demos.dt
+    test = run.demos.select(split="test")
+    made, _ = truth_of(run, None, 4).roll_out(Scenario(()), "habit")
+    assert set(made.demo) == set(range(len(test)))
+    seconds = (test.lengths - 1).mean() * run.demos.dt
     assert (made.lengths - 1).mean() * made.dt == pytest.approx(seconds, rel=0.55)
     starts = made.positions[made.offsets[:-1]]
-    assert np.allclose(starts, truth.test.positions[truth.test.offsets[:-1]][made.demo], atol=1e-5)
+    assert np.allclose(starts, test.positions[test.offsets[:-1]][made.demo], atol=1e-5)

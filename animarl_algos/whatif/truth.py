@@ -1,0 +1,179 @@
+"""What a change really does, where that is known, to stand beside a predicted shift.
+
+The teams that made the recordings of artificial agents can act in the changed world, from the same
+starts. Recordings of the other condition show what it does to animals, from starts of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, partial
+from math import hypot
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.whatif.changes import Scenario
+from animarl_envs.demos.summary import unit_of
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import Species
+from animarl_envs.species.base import Reading
+from animarl_envs.species.options import change_world
+from animarl_envs.worlds import make_world
+
+Floats = NDArray[np.float64]
+
+RECORDINGS, TEAMS = "recordings", "teams"
+TEAM_SEED = 0
+
+
+class Truth(Protocol):
+    """What made the recordings.
+
+    ``description`` is a sentence for pages; ``paired`` says whether episodes of the truth start
+    where those of an answer do.
+    """
+
+    description: str
+    paired: bool
+
+    def check(self, scenario: Scenario) -> None:
+        """Raise InputError if the truth of a change is not known."""
+
+    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+        """Return true episodes in the unchanged and in the changed world."""
+
+
+def find_truth(source: str, run: Any, repetitions: int) -> Truth:
+    """Return the truth that ``--truth`` names for a run.
+
+    Raises
+    ------
+    InputError
+        If the teams are not known, or their weights cannot be read.
+    """
+    if source == RECORDINGS:
+        return RecordedConditions(run)
+    return TeamTruth(run, None if source == TEAMS else Path(source), repetitions)
+
+
+class RecordedConditions:
+    """The test recordings of both conditions, as two groups."""
+
+    description = (
+        "The true shift is the difference between the test recordings of the two conditions, which "
+        "began from starts of their own."
+    )
+    paired = False
+
+    def __init__(self, run: Any) -> None:
+        self.demos = run.demos.select(split="test")
+        self.conditions = run.scenario.species.conditions
+
+    def check(self, scenario: Scenario) -> None:
+        """Raise InputError unless the condition alone is changed to one that was recorded."""
+        if scenario.condition is None or len(scenario.changes) > 1:
+            raise InputError(
+                f"--truth {RECORDINGS}: no recordings show {scenario.name}: ask for condition=NAME "
+                "alone, or leave --truth out"
+            )
+        if not (self.demos.condition == self.conditions.index(scenario.condition)).any():
+            raise InputError(
+                f"--truth {RECORDINGS}: no test recording has the condition {scenario.condition}: "
+                "deal the splits so that test has both conditions"
+            )
+
+    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+        """Return the recordings of the other condition and of the one that is asked for."""
+        recorded = Rollouts.from_demonstrations(self.demos)
+        changed = recorded.condition == self.conditions.index(str(scenario.condition))
+        return recorded.select(~changed), recorded.select(changed)
+
+
+class TeamTruth:
+    """The trained teams that made the recordings of a run, one for each condition.
+
+    Parameters
+    ----------
+    folder
+        Of the published agents' weights (:func:`animarl_algos.evaluation.teams.teams_of`); None for
+        the packaged teams.
+    repetitions
+        Rollouts from each start, of a team that acts by chance.
+    """
+
+    description = (
+        "The true shift is that of the trained teams that made the recordings, in the changed "
+        "world and from the same starts; under another condition the team that was trained so."
+    )
+    paired = True
+
+    def __init__(self, run: Any, folder: Path | None, repetitions: int) -> None:
+        teams = None if run.settings.focal else teams_of(run.demos, folder)
+        if teams is None:
+            raise InputError(
+                f"--truth {folder or TEAMS}: it is not known which teams made these recordings, or "
+                f"one individual alone learned: give --truth {RECORDINGS}, or leave it out"
+            )
+        self.teams, self.repetitions = teams, repetitions
+        self.test, self.unit = run.demos.select(split="test"), unit_of(run.demos)
+        first, species = teams[0], run.scenario.species
+        self.species: Species = replace(
+            species, locomotion=first.locomotion, observation=first.observation
+        )
+
+    def check(self, scenario: Scenario) -> None:
+        """Raise InputError for a wanted speed or an individual that is removed."""
+        if scenario.speeds or scenario.removed:
+            raise InputError(
+                f"{scenario.name}: the truth of teams is known of thrusts, arenas, starts and "
+                "conditions: change these, or leave --truth out"
+            )
+
+    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+        """Return what the teams do in both worlds."""
+        return self._unchanged, self._simulate(scenario, reading)
+
+    @cached_property
+    def _unchanged(self) -> Rollouts:
+        return self._simulate(Scenario(()), "habit")
+
+    def _simulate(self, scenario: Scenario, reading: Reading) -> Rollouts:
+        options = scenario.options(self.species, self.unit)
+        species = change_world(self.species, reading, **options)
+        starts, asked, parts = scenario.moved(self.test, species), scenario.condition, []
+        for condition in np.unique(self.test.condition).tolist():
+            own = np.flatnonzero(self.test.condition == condition)
+            world = make_scenario(species, demos=starts.select(episodes=own), split=None)
+            team = self.teams[condition if asked is None else species.conditions.index(asked)]
+            made = collect_rollouts(
+                partial(make_world, world),
+                team.policy,
+                method="truth",
+                seed=TEAM_SEED,
+                repetitions=1 if team.reseed is None else self.repetitions,
+                reseed=team.reseed,
+            )
+            parts.append(replace(made, demo=own[made.demo]))
+        return Rollouts.concatenate(parts, "truth")
+
+
+def mean_by_start(rollouts: Rollouts, values: Floats, starts: int) -> Floats:
+    """Return the mean of the rollouts from each start, ``(starts,)``."""
+    total = np.bincount(rollouts.demo, values, starts)
+    return np.asarray(total / np.bincount(rollouts.demo, minlength=starts))
+
+
+def subtract(first: Interval, second: Interval) -> Interval:
+    """Return the difference of two independent means (Zou and Donner 2008, Stat. Med. 27, 1693)."""
+    below = hypot(first.estimate - first.low, second.high - second.estimate)
+    above = hypot(first.high - first.estimate, second.estimate - second.low)
+    estimate = first.estimate - second.estimate
+    return Interval(estimate, estimate - below, estimate + above)
