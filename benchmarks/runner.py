@@ -32,6 +32,9 @@ class Nothing(Piece):
     def __init__(self, name: str) -> None:
         self.name = name
 
+    def ready(self, out: Path) -> bool:
+        return True
+
     def perform(self, out: Path) -> None:
         write_json(self.folder(out) / "cost.json", {"processor_seconds": 0.0})
 
@@ -51,7 +54,8 @@ def alone(pieces: list[Nothing], out: Path) -> float:
 def of_all(number: int, out: Path) -> float:
     """Processor seconds of new processes and this one for so many pieces."""
     begun = processor_time()
-    for _, error in perform_all([Nothing(f"{number}-{i}") for i in range(number)], out, PROCESSES):
+    pieces = [Nothing(f"{number}-{i}") for i in range(number)]
+    for _, error in perform_all([pieces], out, PROCESSES):
         if error:
             raise RuntimeError(error)
     return processor_time() - begun

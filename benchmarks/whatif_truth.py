@@ -52,7 +52,7 @@ from animarl_algos.benchmark.methods import (
     CheckedPolicy,
     MethodSetting,
     ProgrammedPolicy,
-    foreign,
+    errors_as_input_errors,
     load_factory,
 )
 from animarl_algos.evaluation import Rollouts, collect_rollouts
@@ -60,17 +60,9 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.pipeline import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
-from animarl_algos.whatif.answer import (
-    FALLS,
-    RISES,
-    Answer,
-    ask,
-    judge,
-    mean_over_starts,
-    quantities_of,
-    share_as_large,
-)
+from animarl_algos.whatif.answer import Answer, ask, quantities_of
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
+from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.truth import TeamTruth, Truth, mean_by_start
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
@@ -198,7 +190,7 @@ def entered_run(name: str, method: str, seed: int) -> Run:
         If there is no such factory, or it raises.
     """
     run, factory = load_run(name), load_factory(method)
-    with foreign(f"method {method}: its factory raised", "fix it"):
+    with errors_as_input_errors(f"method {method}: its factory raised"):
         made = factory(MethodSetting.of(run, seed))
     entered = CheckedPolicy(method, made, run.species.num_actions)
     vars(entered)["layout"] = run.policy.layout  # whether it is told conditions, as the clone is

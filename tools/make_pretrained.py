@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -60,16 +59,10 @@ def make(
     wanted = [f"{name}/{r}/{seed}" for name in names for r in recipes for seed in seeds]
     asked = plan(read_matrix(PRESET)).only(wanted)
     claim_folder(out)
-    begun: dict[str, float] = {}
     failed = []
-    for piece, error in perform_all(asked.pieces, out, processes):
-        if error is None:
-            begun[piece.name] = time.monotonic()
-        elif error:
-            failed.append(error)
-        seconds = time.monotonic() - begun[piece.name]
-        said = "begins" if error is None else error or f"{seconds:.0f} s"
-        print(f"{piece.name}: {said}", flush=True)
+    for piece, error in perform_all(asked.stages, out, processes):
+        print(f"{piece.name}: {error or 'finished'}", flush=True)
+        failed += [error] if error else []
     if failed:
         raise InputError(failed[0])
     by_species: dict[str, list[Cell]] = {}

@@ -12,7 +12,6 @@ from typing import Any
 import pandas as pd
 
 from animarl_algos.benchmark.matrix import Plan
-from animarl_algos.benchmark.pieces import Cell, Clone
 from animarl_algos.benchmark.scores import ENERGY, Score, differences, labels, ranked
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import NOTHING, number, with_interval
@@ -20,7 +19,7 @@ from animarl_algos.runs.run_files import machine
 from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 
-COSTS = ("row", "seed", "clone", "processor_seconds", "parameters")
+COSTS = ("row", "seed", "processor_seconds", "parameters")
 HEAD = ("data", "method", "kind", "starts", "rollouts", "covers", "words")
 HOW = """\
 Test split; rollouts from its starts. In brackets the 95 % interval over recordings; of differences
@@ -45,8 +44,10 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
         if scoring.finished(out):
             boards.setdefault(scoring.data, []).append(scoring.result(out))
         else:
-            errors = [f"{cell.name}: {why}" for cell in scoring.cells if (why := cell.error(out))]
-            why = "; ".join(errors) or scoring.error(out) or "not finished"
+            worlds = [world for world in plan.worlds if world.data == scoring.data]
+            tried = [*worlds, *scoring.cells, scoring]
+            errors = [f"{piece.name}: {why}" for piece in tried if (why := piece.error(out))]
+            why = "; ".join(errors) or "not finished"
             missing.append(f"- {scoring.name.removesuffix('/score')}: {why}\n")
     text = ""
     rows: list[dict[str, Any]] = []
@@ -112,20 +113,16 @@ def titles(scored: Score) -> dict[str, str]:
 
 
 def _write_costs(plan: Plan, out: Path, command: str) -> None:
-    """Processor time and parameters of every finished cell, on which machine, by which command.
-
-    What several cells began with stands once, under its own name, as it was done once.
-    """
-    done: list[Cell | Clone] = [*plan.cells, *plan.clones]
+    """Processor time and parameters of every finished cell, on which machine, by which command."""
     rows: list[dict[str, Any]] = [
         {"data": one.data, "method": one.method, "seed": one.seed, "fold": one.fold} | cost
-        for one in done
+        for one in plan.cells
         if (cost := one.cost(out))
     ]
     _write_csv(out / "costs.csv", rows)
     lines = []
     for row in rows:
-        row["row"] = f"{row['data']}/{row['method']}{' beside its clone' * bool(row['clone'])}"
+        row["row"] = f"{row['data']}/{row['method']}"
     for name, some in pd.DataFrame(rows, columns=COSTS).groupby("row", sort=False):
         seeds, parameters = some["seed"].nunique(), some["parameters"].iloc[0]
         told = NOTHING if pd.isna(parameters) else f"{int(parameters):,}"
@@ -133,7 +130,7 @@ def _write_costs(plan: Plan, out: Path, command: str) -> None:
         lines.append([str(name), str(seeds), f"{seconds:.1f}", told])
     total = sum(row["processor_seconds"] for row in rows)
     made = {"command": f"`{command}`"} if command else {}
-    made |= machine() | {"all cells and clones": f"{total:.0f} s of processor time"}
+    made |= machine() | {"all cells": f"{total:.0f} s of processor time"}
     said = "\n".join(f"- {name}: {value}" for name, value in made.items())
     with write_then_rename(out / "costs.md") as part:
         head = ("row", "seeds", "processor time of a seed (s)", "parameters")

@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property
 from importlib import resources
-from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from animarl_algos.benchmark.pieces import Cell, Clone, FittedWorld, Piece, Scoring
+from animarl_algos.benchmark.pieces import Cell, FittedWorld, Piece, Scoring
 from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
@@ -208,7 +206,7 @@ MARK = "benchmark.json"
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Worlds first, then clones, cells, scores; within these any order gives the same."""
+    """Worlds first, then cells, then scores; within these any order gives the same."""
 
     matrix: Matrix
     worlds: tuple[FittedWorld, ...]
@@ -217,24 +215,7 @@ class Plan:
 
     @property
     def stages(self) -> tuple[tuple[Piece, ...], ...]:
-        return self.worlds, self.clones, self.cells, self.scorings
-
-    @property
-    def pieces(self) -> Iterator[Piece]:
-        return chain.from_iterable(self.stages)
-
-    @cached_property
-    def clones(self) -> tuple[Clone, ...]:
-        """One for every two cells or more that begin with the same offline phase."""
-        alike: dict[str, list[Cell]] = {}
-        for cell in self.cells:
-            if cell.clone is not None:
-                alike.setdefault(cell.clone.key, []).append(cell)
-        return tuple(
-            replace(clone, cells=tuple(some))
-            for some in alike.values()
-            if len(some) > 1 and (clone := some[0].clone)
-        )
+        return self.worlds, self.cells, self.scorings
 
     def only(self, patterns: Sequence[str]) -> Plan:
         """Return the rows that match a pattern, ``species/method`` or ``species/method/seed``."""
@@ -250,7 +231,7 @@ class Plan:
             self.matrix,
             tuple(world for world in self.worlds if world.data in needed),
             kept,
-            tuple(one for one in self.scorings if chosen.issuperset(one.needs)),
+            tuple(one for one in self.scorings if chosen.issuperset(c.name for c in one.cells)),
         )
 
 

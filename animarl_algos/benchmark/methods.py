@@ -42,6 +42,7 @@ from animarl_algos.evaluation import collect
 from animarl_algos.evaluation.classifier import tracked_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.learner.callbacks import TERMINATED
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_world import training_options
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -56,8 +57,6 @@ from animarl_envs.worlds import demonstration_observations, make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
 Ints = NDArray[np.int64]
-
-TERMINATED = 143  # a worker ends with it where it was told to end
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -117,7 +116,7 @@ class CheckedPolicy:
     def predict(self, observation: Any, state: Any = None, **known: Any) -> tuple[Ints, Any]:
         """Return one action per slot; raise InputError where the method does anything else."""
         slots, most = len(observation), self._num_actions - 1
-        with foreign(f"method {self._name}: its predict raised", "fix it"):
+        with errors_as_input_errors(f"method {self._name}: its predict raised"):
             if hasattr(self._policy, "predict"):
                 actions, state = self._policy.predict(observation, state=state, **known)
             else:
@@ -136,15 +135,16 @@ class CheckedPolicy:
 
 
 def one_line(text: object) -> str:
-    """Return what somebody else's code said without line ends: they would end a table or a list."""
+    """Return a text of somebody else's code on one line, as tables and lists need it."""
     return " ".join(str(text).split())
 
 
 @contextmanager
-def foreign(said: str, fix: str) -> Iterator[None]:
-    """Whatever somebody else's code raises, or ends the process with, becomes an InputError.
+def errors_as_input_errors(what: str, fix: str = "fix it") -> Iterator[None]:
+    """Turn whatever somebody else's code raises, ``sys.exit`` included, into an InputError.
 
-    It says ``said``, what was raised, and the ``fix``. Ctrl-C and a signal to end go through.
+    It says ``what`` failed, what was raised, and the ``fix``. Ctrl-C and a signal to end go
+    through.
     """
     try:
         yield
@@ -152,7 +152,7 @@ def foreign(said: str, fix: str) -> Iterator[None]:
         if isinstance(error, SystemExit) and error.code == TERMINATED:
             raise
         raised = f"{type(error).__name__} ({one_line(error)})"
-        raise InputError(f"{said} {raised}: {fix}") from error
+        raise InputError(f"{what} {raised}: {fix}") from error
 
 
 def parameters_of(policy: Any) -> int | None:
@@ -184,7 +184,7 @@ def load_factory(place: str) -> Callable[[MethodSetting], Any]:
         raise InputError(f"method {place!r}: write module:factory")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)
-    with foreign(f"method {place!r}: it cannot be imported:", "see to its module"):
+    with errors_as_input_errors(f"method {place!r}: it cannot be imported:", "check its module"):
         found = getattr(importlib.import_module(module), name)
     if not callable(found):
         raise InputError(f"method {place!r}: it is no callable: name a factory")
@@ -219,7 +219,7 @@ def reference_rollouts(
     test = demos.select(split="test")
     if method == RECORDINGS:
         beside = demos.select(split="val") if fold else learnable(demos)
-        return others_as_rollouts(beside, test, seed)
+        return recordings_of_other_starts(beside, test, seed)
     if method == "tracking":
         tracked = tracked_rollouts(test, track(test, species.locomotion, species.arena))
         return replace(tracked, method=method, seed=np.full(len(tracked), seed))
@@ -264,7 +264,7 @@ def expert_rollouts(
     return Rollouts.concatenate(parts, "experts")
 
 
-def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:
+def recordings_of_other_starts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:
     """Return each of the ``others`` as if it were a rollout from a test start of its condition.
 
     They are dealt evenly and each once, so that no classifier meets one of them twice.

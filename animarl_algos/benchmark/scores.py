@@ -8,16 +8,14 @@ the pairs for their number.
 Submissions are somebody's rollouts, checked and scored without running their code: a file as every
 run holds them (``runs/mine/rollouts/*.npz``), or as
 :meth:`~animarl_algos.evaluation.rollouts.Rollouts.save` writes them: positions in the arena frame
-[arena unit] from the start of a packaged test episode on, which ``demo`` counts. The outcome is
-checked against the last positions, the steps between them against how fast the species is, and all
-of them against the recording.
+[arena unit] from the start of a packaged test episode on, which ``demo`` counts.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -26,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.methods import RECORDINGS, others_as_rollouts
+from animarl_algos.benchmark.methods import RECORDINGS, recordings_of_other_starts
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
@@ -37,18 +35,16 @@ from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, cove
 from animarl_algos.evaluation.verdict import SUMMARY, summary_table, verdict
 from animarl_algos.evaluation.verdict_rows import ALIKE, COLOURS
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.episode import PURSUER_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError, printable
-from animarl_envs.locomotion import residual
 from animarl_envs.species import get_species
 
 Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
 SLACK = 0.02  # of the contact radius, for rounded positions of a submission
-PUSHES = 4.0  # times the thrust: a fit of many magnitudes has more than twice the one of a single
 REALISM, ENERGY = "realism", "energy"
 UNRANKED = ("recordings", "tracking")
 """References that were told where the recordings go."""
@@ -124,7 +120,7 @@ def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score
     recordings of the other splits are what recordings are compared with.
     """
     test, others = demos.select(split="test"), learnable(demos)
-    return _score(rollouts, test, others_as_rollouts(others, test, SEED), others, resamples)
+    return _score(rollouts, test, recordings_of_other_starts(others, test, SEED), others, resamples)
 
 
 def crossed_score(
@@ -140,7 +136,9 @@ def crossed_score(
         tested = np.flatnonzero(demos.split == "test")
         made.append(replace(rollouts, demo=tested[rollouts.demo]))
         if int(tested[0]) not in beside:
-            others = others_as_rollouts(demos.select(split="val"), demos.select(split="test"), SEED)
+            others = recordings_of_other_starts(
+                demos.select(split="val"), demos.select(split="test"), SEED
+            )
             beside[int(tested[0])] = replace(others, demo=tested[others.demo])
     joined = Rollouts.concatenate(made, method)
     return _score(joined, folds[0][0], Rollouts.concatenate([*beside.values()]), None, resamples)
@@ -236,7 +234,7 @@ def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
 def score_submission(path: str | Path, species: str, *, resamples: int = RESAMPLES) -> Score:
     """Check a submission and measure it against the packaged test split of ``species``.
 
-    InputError names the rollout that is not from a test start, or could not have been made.
+    InputError names the rollout that is not from a test start.
     """
     rollouts, demos = read_submission(Path(path), species)
     return replace(score(rollouts, demos, resamples=resamples), data=species, kind="method")
@@ -271,84 +269,25 @@ def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]
         )
     if missing := set(range(len(test))) - set(made.demo.tolist()):
         raise InputError(f"{path}: no rollout is from test episode {min(missing)}: leave none out")
-    fastest = float(np.linalg.norm(demos.velocities(), axis=2).max()) * demos.dt
-    widest = float(np.abs(demos.positions).max())
     for i, demo in enumerate(made.demo.tolist()):
-        for fault in _faults(made.path(i), int(made.outcome[i]), demo, test, fastest, widest):
+        if fault := _fault(made.path(i), int(made.outcome[i]), demo, test):
             raise InputError(f"{path}: rollout {i}: {fault}")
     return replace(made, method=printable(made.method)), demos
 
 
-def _faults(
-    path: Floats, outcome: int, demo: int, test: Demonstrations, fastest: float, widest: float
-) -> Iterator[str]:
-    """Yield why a rollout cannot have been made from the start of test episode ``demo``.
-
-    ``fastest`` and ``widest`` are the longest recorded step and the largest coordinate.
-    """
-    species, recorded = get_species(test.species), test.path(demo)
-    limit, slack = species.time_limit, SLACK * species.contact_radius
-    if not 2 <= len(path) <= limit + 1:
-        yield f"it has {len(path)} frames, and an episode 2 to {limit + 1}: give every frame"
-    if np.abs(path[0] - recorded[0]).max() > slack:
-        yield f"it does not begin where test episode {demo} began"
-    # Nobody is where, or takes a step that, no animal and no locomotion of theirs could.
-    damping = np.array([own.damping for own in species.locomotion])
-    push = PUSHES * np.array([own.thrust for own in species.locomotion]) * species.dt**2
-    step = max(fastest, float((push / damping).max()))
-    boundary = species.arena.boundary
-    most = max(widest, boundary) + step  # who is out has ended the episode
-    if not np.isfinite(boundary):
-        most = widest + limit * step
-    if (far := float(np.abs(path).max())) > most:
-        yield (
-            f"a coordinate is {far:.3g} in size, and {most:.3g} is the most: "
-            "give positions in the arena frame, in arena units"
+def _fault(path: Floats, outcome: int, demo: int, test: Demonstrations) -> str:
+    """Return why a rollout is not one from the start of test episode ``demo``; empty if it is."""
+    species, movers = get_species(test.species), sum(role != "target" for role in test.roles)
+    if not 2 <= len(path) <= species.time_limit + 1:
+        return (
+            f"it has {len(path)} frames, and an episode 2 to {species.time_limit + 1}: give every "
+            "frame"
         )
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
-    before = np.concatenate([np.full_like(steps[:1], fastest), np.maximum(steps[:-1], fastest)])
-    added = [residual(steps[:, k], before[:, k], own) for k, own in enumerate(damping)]
-    beyond = np.minimum(np.stack(added, axis=1) - push, steps - fastest)
-    if (beyond > 0).any():
-        frame, who = np.argwhere(beyond > 0)[0].tolist()
-        could = steps[frame, who] - beyond[frame, who]
-        yield (
-            f"{test.individuals[who]} moves {steps[frame, who]:.3g} from frame {frame} to "
-            f"{frame + 1}, where {could:.3g} is the most that it could: give every "
-            "frame as it was simulated"
+    if np.abs(path[0] - test.path(demo)[0]).max() > SLACK * species.contact_radius:
+        return f"it does not begin where test episode {demo} began"
+    if not PURSUER_OUT <= outcome <= movers:
+        return (
+            f"outcome {outcome} is not a valid code: use {PURSUER_OUT} to {movers} "
+            "(animarl_envs/demos/episode.py)"
         )
-    common = min(len(path), len(recorded))  # warm-up and a second more leave enough to tell
-    enough = common > species.warmup + 1 + max(1, round(1 / species.dt))
-    if enough and np.abs(path[:common] - recorded[:common]).max() <= slack:
-        yield (
-            f"it is the recording of test episode {demo} itself, frame by frame: "
-            "give what the method did from its start"
-        )
-    # The target, or the source at the origin, was reached if and only if it was in reach at the
-    # end; else somebody is out, or the time limit has passed.
-    radius, goal, movers = species.contact_radius, np.zeros(2), path[-1]
-    if "target" in test.roles:
-        target = test.roles.index("target")
-        goal, movers = path[-1, target], np.delete(path[-1], target, axis=0)
-    elif not test.has_goal:
-        goal = np.full(2, np.inf)  # nobody can be reached
-    if outcome not in (TIME_OUT, TARGET_OUT, PURSUER_OUT) and not 1 <= outcome <= len(movers):
-        yield f"outcome {outcome} is none: see its codes"
-    distance = np.linalg.norm(movers - goal, axis=1).min()
-    if outcome > 0 and distance > radius * (1 + SLACK):
-        yield f"it claims that the goal was reached, which is {distance:.3g} away at the end"
-    if outcome == TIME_OUT and distance < radius * (1 - SLACK):
-        yield "it ends in reach of the goal and claims that it was not reached"
-    if outcome == TIME_OUT and len(path) <= limit:
-        yield (
-            f"it claims that time ran out, with {len(path)} of {limit + 1} "
-            "frames: roll out until the episode ends"
-        )
-    if outcome in (TARGET_OUT, PURSUER_OUT):
-        is_target = np.array([role == "target" for role in test.roles])
-        left = path[-1, is_target == (outcome == TARGET_OUT)]
-        if replace(species.arena, rebound=False).contains(left, -SLACK * radius).all():
-            yield (
-                "it claims that somebody left the arena, and all of them are within it "
-                "at the end: give the outcome with which the episode ended"
-            )
+    return ""

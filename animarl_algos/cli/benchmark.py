@@ -23,7 +23,7 @@ from animarl_algos.benchmark.matrix import (
     read_matrix,
 )
 from animarl_algos.benchmark.methods import parse_method
-from animarl_algos.benchmark.pieces import Cell, Clone, Piece, perform_all
+from animarl_algos.benchmark.pieces import BACKENDS, Piece, perform_all
 from animarl_algos.benchmark.scores import score_submission
 from animarl_algos.cli.shared import PlainConsole, command_line, helps
 from animarl_algos.evaluation.statistics import interval
@@ -31,8 +31,7 @@ from animarl_algos.report.words import number, with_interval
 from animarl_envs.errors import InputError
 from animarl_envs.species import species_name
 
-STAGES = ("worlds", "clones", "cells", "scores")
-MOST_NAMES = 4  # of pieces that run, in a line
+STAGES = ("worlds", "cells", "scores")
 
 app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
 
@@ -46,6 +45,7 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
     only="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'.",
     method="Your own method, NAME=module:factory; repeatable.",
     processes="Number of processes, one thread each.",
+    backend="loky (processes of this machine) or ray (a Ray cluster that 'ray start' made).",
     show=typer.Option("--list", help="List what would be done, and stop."),
 )
 def benchmark_command(
@@ -57,6 +57,7 @@ def benchmark_command(
     only: list[str] | None = None,
     method: list[str] | None = None,
     processes: int = 1,
+    backend: str = BACKENDS[0],
     show: bool = False,
 ) -> None:
     """Train, roll out and score every method on every species with every seed.
@@ -79,6 +80,8 @@ def benchmark_command(
         return
     if processes < 1:
         raise InputError(f"processes is {processes}: it must be at least 1")
+    if backend not in BACKENDS:
+        raise InputError(f"--backend {backend}: choose {' or '.join(BACKENDS)}")
     matrix = read_matrix(preset, config)
     species = [one if one in matrix.files else species_name(one) for one in species or []]
     for name in species:
@@ -98,15 +101,15 @@ def benchmark_command(
     if show:
         console.print(_listing(asked, out))
         return
-    shown = Shown(asked, out, console)
-    with shown.progress:
-        for piece, error in perform_all(asked.pieces, out, processes):
-            shown.tell(piece, error)
-    for name, cause in shown.causes():
-        console.print(f"\n{name} failed: {cause}")
+    bars = StageBars(asked, out, console)
+    with bars.progress:
+        for piece, error in perform_all(asked.stages, out, processes, backend):
+            bars.update(piece, error)
+    for piece, error in bars.failed:
+        console.print(f"\n{piece.name} failed: {error}")
     page = write_leaderboard(whole, out, command_line())
     console.print(f"\nOpen {page}")
-    if shown.failed:
+    if bars.failed:
         raise typer.Exit(1)
 
 
@@ -137,47 +140,39 @@ def score_command(file: Path, species: str) -> None:
     )
 
 
-class Shown:
-    """How far each stage is, what failed, what runs, and about how long it will take."""
+class StageBars:
+    """Progress bars of the stages: finished pieces, failures, and about how long it will take."""
 
     def __init__(self, asked: Plan, out: Path, console: Console) -> None:
         self.failed: list[tuple[Piece, str]] = []
         self.progress = Progress(
-            "{task.description}", BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn(),
-            TextColumn("{task.fields[said]}", markup=False), console=console,
-        )  # fmt: skip
-        self._stages: dict[str, TaskID] = {}
+            "{task.description}",
+            BarColumn(20),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[failures]}", markup=False),
+            console=console,
+        )
+        self._tasks: dict[str, TaskID] = {}
         for title, stage in zip(STAGES, asked.stages):
-            there = sum(piece.finished(out) for piece in stage)
-            task = self.progress.add_task(title, total=len(stage), completed=there, said="")
-            self._stages |= {piece.name: task for piece in stage}
-        self._running: dict[str, Piece] = {}
+            finished = sum(piece.finished(out) for piece in stage)
+            task = self.progress.add_task(title, total=len(stage), completed=finished, failures="")
+            self._tasks |= {piece.name: task for piece in stage}
 
-    def tell(self, piece: Piece, error: str | None) -> None:
-        """A piece begins (None), or has ended with an error or an empty one."""
-        self._running.pop(piece.name, None)
-        task = self._stages[piece.name]
-        if error is None:
-            self._running[piece.name] = piece
-        elif error:
-            self.failed.append((piece, error))
-        else:
+    def update(self, piece: Piece, error: str) -> None:
+        """Count a piece that has ended, with an error or an empty one."""
+        task = self._tasks[piece.name]
+        if not error:
             self.progress.advance(task)
-        failed = sum(self._stages[other.name] == task for other, _ in self.failed)
-        running = [name for name in self._running if self._stages[name] == task]
-        said = ", ".join([f"{failed} failed"] * bool(failed) + running[:MOST_NAMES])
-        self.progress.update(task, said=said)
-
-    def causes(self) -> list[tuple[str, str]]:
-        """What failed by itself, not for want of what failed before it."""
-        names = {piece.name for piece, _ in self.failed}
-        return [(p.name, error) for p, error in self.failed if names.isdisjoint(p.needs)]
+            return
+        self.failed.append((piece, error))
+        failures = sum(self._tasks[other.name] == task for other, _ in self.failed)
+        self.progress.update(task, failures=f"{failures} failed")
 
 
 def _listing(asked: Plan, out: Path) -> Table:
     table = Table("cell", "kind", "key", "state")
-    listed: list[Clone | Cell] = [*asked.clones, *asked.cells]
-    for one in listed:
-        state = "finished" if one.finished(out) else one.error(out) or "to do"
-        table.add_row(one.name, one.kind, one.key, state)
+    for cell in asked.cells:
+        state = "finished" if cell.finished(out) else cell.error(out) or "to do"
+        table.add_row(cell.name, cell.kind, cell.key, state)
     return table

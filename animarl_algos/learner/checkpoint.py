@@ -29,7 +29,6 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.save_util import open_path
 
-from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -152,19 +151,6 @@ def load_checkpoint(model: Any, folder: str | Path) -> None:
         np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002
         version, words, gauss = state["python_random_state"]
         random.setstate((version, tuple(words), gauss))
-
-
-def cloned_progress(folder: str | Path) -> OfflineProgress:
-    """Return the offline phase of the checkpoint in ``folder``, for another learner to end.
-
-    It is to be of soft-label cloning alone, with the same networks, demonstrations, seed and
-    offline settings as that learner's. Its ``learn`` then goes on as if the phase, which draws from
-    no stream that lasts, had been its own.
-    """
-    with _opened_checkpoint(_checkpoint_of(folder)) as (state, archive):
-        row = state["counters"]["offline_progress"] | {"done": False}
-        tensors = _tensors_of(archive["model"].tobytes(), "model")
-        return OfflineProgress(**row, best_weights=tensors["q_net"])
 
 
 def _checkpoint_of(folder: str | Path) -> Path:

@@ -4,7 +4,6 @@ Each stage writes its result into the run folder and is skipped if it is there, 
 was killed goes on where it was.
 """
 
-import shutil
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -23,7 +22,6 @@ from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import (
-    cloned_progress,
     latest_checkpoint,
     load_checkpoint,
     steps_done,
@@ -118,13 +116,10 @@ def fit(run: Run) -> LocomotionFit:
         return result
 
 
-def learn(
-    run: Run, algo: str, *, clone: Run | None = None, progress_bar: bool = True
-) -> SequenceQLearning:
+def learn(run: Run, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
-    Goes on from the last checkpoint, exactly; without one from the run ``clone``, if given, which
-    has done the same offline phase (:func:`animarl_algos.learner.checkpoint.cloned_progress`).
+    Goes on from the last checkpoint, exactly.
     """
     torch.set_num_threads(1)
     with run.lock():
@@ -140,10 +135,6 @@ def learn(
             return run.let_act(algo, model)
         if latest is not None:
             load_checkpoint(model, checkpoints)
-        elif clone is not None:
-            other = clone.settings.algo
-            model.offline_progress = cloned_progress(clone.path / "checkpoints" / other)
-            shutil.copytree(clone.path / "logs" / other, logs / algo, dirs_exist_ok=True)
         session = logs / algo / f"{len(list((logs / algo).glob('[0-9]*'))):03d}"
         with (
             run.timed(f"training {method_name(algo)}"),

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import censored, path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.whatif.absent import Present, simulate_from
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
+from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
@@ -40,9 +41,6 @@ TRY_REPETITIONS = 2
 FAR_APART = 0.1  # tries of thrust, for a slope to be read off them [log]
 USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
 THRUST_LIMITS = (1 / 8, 8.0)
-CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
-RISES, FALLS = "rises", "falls"
-NO_INTERVAL = "one test start: no interval"
 
 
 class TrainedRun(Protocol):
@@ -504,73 +502,6 @@ class _Comparison:
                 f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
             )
         return word, "; ".join(reasons)
-
-
-def judge(row: Mapping[Any, Any], of_a_cue: bool) -> str:
-    """Return what a shift is, in a few words: :data:`RISES`, :data:`FALLS`, or why it is neither.
-
-    Recordings of two conditions differ by chance too, and policies learn that. So the shift of a
-    cue is no finding without the shifts of runs with permuted conditions beside it.
-    """
-    if row["warning"] == Caution.RED:
-        return "a guess"
-    if np.isnan(row["low"]):
-        return NO_INTERVAL
-    if not (row["low"] > 0 or row["high"] < 0):
-        return "not clear of zero"
-    if abs(row["shift"]) < abs(row["gap"]):
-        return "smaller than the gap"
-    if of_a_cue and not np.isfinite(row["p"]):
-        return f"without a null: add --permutations {round(1 / CUE_LEVEL)}"
-    if row["p"] > CUE_LEVEL:
-        return "as by chance"
-    return RISES if row["shift"] > 0 else FALLS
-
-
-def share_as_large(shifts: Floats, null: Floats) -> Floats:
-    """Return ``p`` of each quantity's shift: how often permuted conditions move any of them as far.
-
-    An answer has several quantities, which are tested together: a shift counts in units of what
-    permuted conditions move its quantity by (Westfall and Young 1993, the largest of each network).
-
-    Parameters
-    ----------
-    shifts
-        ``(quantities,)``.
-    null
-        ``(networks, quantities)``.
-    """
-    spread = np.sqrt(np.mean(np.square([*null, shifts]), axis=0))
-    spread[spread == 0] = 1.0  # what nobody moves stays where it is
-    largest = (np.abs(null) / spread).max(axis=1)
-    as_large = (~(largest[:, None] < np.abs(shifts) / spread)).sum(axis=0)
-    return np.asarray((1 + as_large) / (1 + len(null)))
-
-
-def mean_over_starts(
-    values: Floats,
-    demo: NDArray[np.int64],
-    *,
-    runs: int,
-    test: Demonstrations,
-    rng: np.random.Generator,
-    counts: NDArray[np.bool_],
-) -> Interval:
-    """Return a mean with its interval over recordings and training runs.
-
-    Parameters
-    ----------
-    values, demo, counts
-        ``(rollouts,)`` of all runs, one after the other: the value, its start, whether it counts.
-    test
-        The starts; those that were cut from one recording are one unit.
-    """
-    _, recording = np.unique(test.recording, return_inverse=True)
-    if len(np.unique(recording[demo[counts]])) < 2:
-        recording = np.arange(len(test))
-    seed = np.repeat(np.arange(runs), len(values) // runs)
-    data = cells(values, seed, recording[demo], int(recording.max()) + 1, counts)
-    return bootstrap_mean(data, rng)
 
 
 def _next_factor(tried: Sequence[tuple[float, float]], wanted: float) -> float:

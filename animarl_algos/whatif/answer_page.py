@@ -16,9 +16,10 @@ from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance, to_paste
 from animarl_algos.report.style import Image, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
-from animarl_algos.whatif.answer import NO_INTERVAL, Answer, WhatIf, quantities_of
+from animarl_algos.whatif.answer import Answer, WhatIf, quantities_of
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
+from animarl_algos.whatif.shifts import NO_INTERVAL
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.drawing import markdown_table
 from animarl_envs.files import all_files_or_none

@@ -60,7 +60,6 @@ ROOMS = (
 # (importing module, imported module): the reason.
 LAZY = "public names of the package whose code stands in a room above; given out lazily"
 ALLOWED: dict[tuple[str, str], str] = {
-    ("animarl_algos.evaluation", "animarl_algos.runs.counterfactual"): LAZY,
     ("animarl_algos.evaluation", "animarl_algos.runs.evaluating"): LAZY,
     ("animarl_algos.evaluation", "animarl_algos.runs.inspecting"): LAZY,
 }
@@ -68,18 +67,18 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 1_430,
-    "animarl_algos.benchmark": 12_830,
+    "animarl_algos.benchmark": 10_700,
     "animarl_algos.cli": 16_650,
     "animarl_algos.data": 8_300,
-    "animarl_algos.evaluation": 38_000,
+    "animarl_algos.evaluation": 36_300,
     "animarl_algos.learner": 18_790,
     "animarl_algos.losses": 3_540,
     "animarl_algos.networks": 12_450,
     "animarl_algos.recipes": 900,
     "animarl_algos.replay": 5_850,
-    "animarl_algos.report": 14_900,
-    "animarl_algos.runs": 16_430,
-    "animarl_algos.whatif": 15_410,
+    "animarl_algos.report": 13_300,
+    "animarl_algos.runs": 15_200,
+    "animarl_algos.whatif": 17_000,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 14_200,
     "animarl_envs.demos": 8_250,

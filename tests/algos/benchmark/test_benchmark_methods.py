@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,22 +20,22 @@ from animarl_algos.benchmark.matrix import Matrix, plan
 from animarl_algos.benchmark.methods import (
     NEIGHBOURS,
     SEGMENT,
-    TERMINATED,
     CheckedPolicy,
     MethodSetting,
     NearestSegment,
     Steering,
+    errors_as_input_errors,
     expert_rollouts,
-    foreign,
-    others_as_rollouts,
     parameters_of,
     parse_method,
+    recordings_of_other_starts,
     source_of,
 )
 from animarl_algos.benchmark.pieces import attempt
 from animarl_algos.benchmark.scores import Score, ranked
 from animarl_algos.evaluation.collect import RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.learner.callbacks import TERMINATED
 from animarl_algos.runs.run import Run
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
@@ -66,6 +67,11 @@ def make_ending(setting: MethodSetting) -> Callable[[Any], Any]:
     return act
 
 
+def make_dying(setting: MethodSetting) -> Any:
+    """Its process dies, as for lack of memory."""
+    os._exit(1)
+
+
 def make_nothing(setting: MethodSetting) -> Any:
     raise ValueError("bad\n\n## fly2\nsecond")
 
@@ -85,10 +91,10 @@ def test_benchmark_asks_predict_or_a_callable() -> None:
 
 def test_benchmark_lets_signals_through_somebody_elses_code() -> None:
     for ending in (SystemExit(TERMINATED), KeyboardInterrupt()):
-        with pytest.raises(type(ending)), foreign("it raised", "fix it"):
+        with pytest.raises(type(ending)), errors_as_input_errors("it raised"):
             raise ending
     said = r"it raised SystemExit \(3\): fix it"
-    with pytest.raises(InputError, match=said), foreign("it raised", "fix it"):
+    with pytest.raises(InputError, match=said), errors_as_input_errors("it raised"):
         raise SystemExit(3)
 
 
@@ -215,7 +221,7 @@ def test_benchmark_deals_each_other_recording_once() -> None:
     demos = load_packaged("agent")
     test = demos.select(split="test")
     others = demos.select(episodes=np.flatnonzero(demos.split != "test"))
-    made = others_as_rollouts(others, test, 0)
+    made = recordings_of_other_starts(others, test, 0)
     assert len(made) == len(others)
     assert (made.condition == test.condition[made.demo]).all()
     pairs = set(zip(made.demo.tolist(), made.repetition.tolist()))

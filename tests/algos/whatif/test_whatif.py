@@ -18,10 +18,11 @@ from animarl_algos import load_run
 from animarl_algos.runs.pipeline import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
-from animarl_algos.whatif.answer import NO_INTERVAL, ask, judge, share_as_large
+from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.answer_page import answer_page, findings, words
 from animarl_algos.whatif.changes import Scenario, parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy, in_words, others_in_order
+from animarl_algos.whatif.shifts import NO_INTERVAL, judge, share_as_large
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES, get_species
