@@ -344,7 +344,7 @@ class _Comparison:
                     scenario.removed,
                     repetitions=repetitions or self.repetitions,
                     reading=reading,
-                    wrap=watched.around,
+                    wrap=watched.rewrap,
                     **cue,
                     **options,
                 )

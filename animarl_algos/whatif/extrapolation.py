@@ -29,71 +29,16 @@ Floats = NDArray[np.float64]
 TAIL = 0.001  # of the training inputs, on either side
 YELLOW, RED = 0.05, 0.25  # more steps beyond than in the unchanged world
 # Of 39 changes below YELLOW 3 were predicted wrongly, of 11 above RED 8.
+PAIR = r"\[(.*?)\|(.*?)\]"  # [below|above] in a component's description
 
 
-SIDES = {
-    "ahead": "[behind|ahead of] it", "left": "to the [right|left] of it",
-    "x": "to the [left|right] of it", "y": "[below|above] it",
-}  # fmt: skip
-WAYS = {
-    "ahead": "[backwards|forwards]", "left": "to the [right|left]",
-    "x": "to the [left|right]", "y": "[downwards|upwards]",
-    "outwards": "[away from|towards] the wall", "along": "along the wall",
-}  # fmt: skip
-NEW = "in a direction that is new to it"
-PHRASES = {
-    # The name of an input, and what it means that it is [below|above] the range of training. WHO is
-    # the individual itself or one of the others; WAY and SIDE follow from the name's last word.
-    r"mean velocity over (.*) / .*": r"over the last \1 WHO moved WAY faster",
-    r"log of \(mean \w+ over (.*) / .*": r"over the last \1 WHO was [slower|faster]",
-    r"log of \(speed \d+ delays ago.*": "in the last second or so WHO was [slower|faster]",
-    r"mean turn of the course over (.*)": r"over the last \1 WHO turned [right|left] faster",
-    r"(own )?velocity harmonic.*|body angle.*": f"WHO moves {NEW}",
-    r"(own )?velocity.*": "WHO moves WAY faster",
-    r"log of \(own speed.*|log speed": "WHO is [slower|faster]",
-    r"own acceleration harmonic.*": f"WHO pushes {NEW}",
-    r"(own )?acceleration.*": "WHO pushes WAY harder",
-    r"log of \(1 \+ steps.*": "the episode lasts [shorter|longer]",
-    r"own (speed|turning)": r"WHO is told of a [lower|higher] own \1",
-    r"(own )?heading.*": f"WHO points {NEW}",
-    r"focus direction.*": f"what WHO faces is {NEW}",
-    r"(own )?position.*": "WHO is farther WAY in the arena",
-    r"relative position.*|difference.*": "WHO is farther SIDE",
-    r"relative velocity.*": "seen from it, WHO moves WAY faster",
-    r"distance": "WHO is [nearer|farther]",
-    r"inverse of .*": "WHO is [farther|nearer]",
-    r"bearing.*|direction [cs].*": f"WHO is {NEW}",
-    r"distance from the centre": "WHO is [nearer to|farther from] the centre",
-    r"distance to the (edge|wall).*": r"WHO is [nearer to|farther from] the \1",
-    r"centre of the arena.*": "the centre of the arena is farther SIDE",
-    r"direction of the wall.*": f"the wall is {NEW}",
-    r"(odour|hit|trace) (left|right)": r"WHO smells [less|more] on the \2",
-    r"odour left minus right": "WHO smells more on the [right|left]",
-    r"odour left plus right": "WHO smells [less|more]",
-    r"visual flow|yaw rate": "WHO turns [right|left] faster",
-    r"wind from (.*)": r"WHO feels [less|more] wind from \1",
-}
-
-
-def in_words(component: ObservationComponent) -> tuple[str, str]:
+def describe_departures(component: ObservationComponent) -> tuple[str, str]:
     """Return what an input below its training range means to an individual, and one above it.
 
     ``{2}`` stands for the second of the others, as :func:`others_in_order` names them.
     """
-    other = re.fullmatch(r"other (\d+) (.*)", component.name)
-    who, name = (f"{{{other[1]}}}", other[2]) if other else ("it", component.name)
-    name = name.removeprefix("tanh of ").removesuffix(" / u")
-    found, text = next(
-        (match, sentence)
-        for pattern, sentence in PHRASES.items()
-        if (match := re.fullmatch(pattern, name))
-    )
-    last = re.findall(r"\w+", re.sub(", (fine|coarse)", "", name))[-1]
-    way = "[downwind|upwind]" if "upwind" in component.frame and last == "ahead" else WAYS.get(last)
-    for mark, words in (("WHO", who), ("WAY", way), ("SIDE", SIDES.get(last))):
-        text = text.replace(mark, str(words))
-    text = found.expand(text) + " than ever in training" * (not text.endswith(NEW))
-    below, above = (re.sub(r"\[(.*?)\|(.*?)\]", end, text) for end in (r"\1", r"\2"))
+    text = component.description or f"{component.name} is [lower|higher]"
+    below, above = (f"{re.sub(PAIR, end, text)} than ever in training" for end in (r"\1", r"\2"))
     return below, above
 
 
@@ -129,7 +74,7 @@ class InputRange:
     low, high
         ``(individuals, components)`` each.
     words
-        What every component below its range means, and then above it (:func:`in_words`).
+        What every component below its range means, and then above it (:func:`describe_departures`).
     others
         Of each individual, as its words name them.
     """
@@ -145,7 +90,7 @@ class InputRange:
         seen = demonstration_observations(species, training)
         low, high = np.quantile(seen, [TAIL, 1.0 - TAIL], axis=0)
         margin = 1e-6 * (1.0 + np.abs(high - low))
-        below, above = zip(*map(in_words, observation_components(species)), strict=True)
+        below, above = zip(*map(describe_departures, observation_components(species)), strict=True)
         others = tuple(others_in_order(species, i) for i in range(len(species.individuals)))
         return cls(low - margin, high + margin, below + above, others)
 
@@ -178,8 +123,8 @@ class WatchedPolicy(WrappedPolicy):
         self.sides = np.zeros((individuals, 2 * components))
         self._pending: NDArray[np.bool_] | None = None
 
-    def around(self, policy: Policy) -> WatchedPolicy:
-        """Return this one, in the place of that policy."""
+    def rewrap(self, policy: Policy) -> WatchedPolicy:
+        """Wrap another policy, and count into the same record."""
         self.policy = policy
         return self
 

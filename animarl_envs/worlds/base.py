@@ -27,7 +27,8 @@ class ObservationComponent(NamedTuple):
     """One entry of an observation vector, for spaces, documentation and mirror images.
 
     In a world mirrored about the x axis it is ``sign`` times the component named ``mirror``, its
-    own by default.
+    own by default. ``description`` says in a few words what a value [below|above] the usual ones
+    means; ``{2}`` stands for the second of the other individuals.
     """
 
     name: str
@@ -37,6 +38,7 @@ class ObservationComponent(NamedTuple):
     high: float
     sign: float = 1.0
     mirror: str = ""
+    description: str = ""
 
 
 class FlatDemos(NamedTuple):

@@ -44,6 +44,22 @@ before [s] (the gamma memory of de Vries & Principe 1992, Neural Networks 5, 565
 HARMONICS = (2, 3, 4)  # of a direction, where it is seen as finely as actions divide the circle
 FAINT = 0.1  # a vector of this length [u dt, or u] counts half in its direction
 BODY, REACH = 0.03, 0.1  # distances kept by animals that follow a wall [arena size]
+WAYS = {
+    "ahead": "[backwards|forwards]",
+    "left": "to the [right|left]",
+    "x": "to the [left|right]",
+    "y": "[downwards|upwards]",
+    "outwards": "[away from|towards] the wall",
+    "along": "along the wall",
+}
+"""How an individual moves, where this entry of a velocity is [below|above] the usual ones."""
+SIDES = {
+    "ahead": "[behind|ahead of] it",
+    "left": "to the [right|left] of it",
+    "x": "to the [left|right] of it",
+    "y": "[below|above] it",
+}
+"""Where something is, likewise."""
 
 
 class Group(NamedTuple):
@@ -54,31 +70,43 @@ class Group(NamedTuple):
     ``seen`` lists the observations that hold the group; ``of_focus`` says whether the full one
     holds it for the focus too, which lies straight ahead by definition, ``of_walls`` whether only a
     field with walls has it, and ``sense`` the field of a species that must be true, but for the
-    paper's observation.
+    paper's observation. ``description`` is that of an
+    :class:`~animarl_envs.worlds.base.ObservationComponent`: of the individual ``{who}``, with
+    ``{way}`` and ``{side}`` of each direction, and the ``{name}`` of the entry.
     """
 
     names: tuple[str, ...] | str
     frame: str
     unit: str
     range: str
+    description: str
     seen: tuple[str, ...] = (FULL,)
     of_focus: bool = True
     of_walls: bool = False
     sense: str = ""
 
     @property
-    def entries(self) -> list[tuple[str, float]]:
-        """Names and their signs in a mirrored world."""
+    def entries(self) -> list[tuple[str, float, str]]:
+        """Names, their signs in a mirrored world, and directions; empty for none."""
         found = []
         for name in [self.names] if isinstance(self.names, str) else self.names:
             head, two, rest = name.partition("{")
             pair, _, tail = rest.partition("}")
             if two:
                 first, _, second = pair.partition("|")
-                found += [(head + first + tail, 1.0), (head + second + tail, -1.0)]
+                found += [(head + first + tail, 1.0, first), (head + second + tail, -1.0, second)]
             else:
-                found.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0))
+                found.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0, ""))
         return found
+
+    def describe(self, rank: int, name: str, direction: str) -> str:
+        """Return the description of an entry, of the individual itself (0) or of another."""
+        return (
+            self.description.replace("{who}", f"{{{rank}}}" if rank else "it")
+            .replace("{name}", name)
+            .replace("{way}", WAYS.get(direction, ""))
+            .replace("{side}", SIDES.get(direction, ""))
+        )
 
 
 def _directions(vector: str) -> tuple[str, ...]:
@@ -86,33 +114,59 @@ def _directions(vector: str) -> tuple[str, ...]:
     return tuple(f"{vector} harmonic {k} {{cosine|sine}}" for k in HARMONICS)
 
 
-def _scaled(velocity: str, speed: str, sense: str = "") -> list[Group]:
+def _scaled(velocity: str, speed: str, moves: str, fast: str, sense: str = "") -> list[Group]:
     """Return the groups of a velocity on three scales: fine, coarse, logarithm of the speed."""
     return [
-        Group(f"tanh of {velocity} / (u dt) {{ahead|left}}", EGO, "1", "fine", sense=sense),
-        Group(f"tanh of {velocity} / (3 u dt) {{ahead|left}}", EGO, "1", "coarse", sense=sense),
-        Group(f"log of ({speed} / (u dt) + 0.3)", "any", "1", "log speed", sense=sense),
+        Group(f"tanh of {velocity} / (u dt) {{ahead|left}}", EGO, "1", "fine", moves, sense=sense),
+        Group(
+            f"tanh of {velocity} / (3 u dt) {{ahead|left}}", EGO, "1", "coarse", moves, sense=sense
+        ),
+        Group(f"log of ({speed} / (u dt) + 0.3)", "any", "1", "log speed", fast, sense=sense),
     ]
 
 
-_OWN = _scaled("own velocity", "own speed")
-_SHORT, _LONG = (
-    _scaled(mean, mean, "senses_steps")
-    for mean in (f"mean velocity over {over} steps" for over in PAST)
-)
+def _averaged(over: str, sense: str) -> list[Group]:
+    """Return the groups of the velocity averaged over some time."""
+    mean = f"mean velocity over {over}"
+    lately = f"over the last {over} {{who}}"
+    fast = f"{lately} was [slower|faster]"
+    return _scaled(mean, mean, f"{lately} moved {{way}} faster", fast, sense)
+
+
+_OWN = _scaled("own velocity", "own speed", "{who} moves {way} faster", "{who} is [slower|faster]")
+_SHORT, _LONG = (_averaged(f"{over} steps", "senses_steps") for over in PAST)
 _MEMORY = [
     group
     for over in MEMORY
     for group in (
-        *_scaled(*(f"mean velocity over {over:g} s",) * 2, "free"),
-        Group(f"-mean turn of the course over {over:g} s", "any", "rad / s", "turn", sense="free"),
-        Group(f"log of (mean speed over {over:g} s / (u dt) + 0.3)", "any", "1", "log speed",
-              sense="free"),
+        *_averaged(f"{over:g} s", "free"),
+        Group(
+            f"-mean turn of the course over {over:g} s",
+            "any",
+            "rad / s",
+            "turn",
+            f"over the last {over:g} s {{who}} turned [right|left] faster",
+            sense="free",
+        ),
+        Group(
+            f"log of (mean speed over {over:g} s / (u dt) + 0.3)",
+            "any",
+            "1",
+            "log speed",
+            f"over the last {over:g} s {{who}} was [slower|faster]",
+            sense="free",
+        ),
     )
-]  # fmt: skip
+]
 RECALLED = len(_MEMORY) // len(MEMORY)  # groups of each time
 _BOTH, _ALWAYS, _SMALL = (PAPER, FULL), (COMPACT, PAPER, FULL), (COMPACT, FULL)
 _WALL = "tanh of distance to the wall /"
+_MOVES = "{who} moves {way} faster"
+_ELSEWHERE = "{who} is in another direction"
+_POINTS = "{who} points in another direction"
+_PLACED = "{who} is farther {way} in the arena"
+_BESIDE = "{who} is farther {side}"
+_NEAR_WALL = "{who} is [nearer to|farther from] the wall"
 
 
 class Seen(IntEnum):
@@ -134,13 +188,35 @@ class Seen(IntEnum):
         return member
 
     # The individual itself
-    POSITION = Group("own position {x|y}", ARENA, LENGTH, "place", _BOTH, sense=COMPASS)
-    VELOCITY = Group("own velocity {ahead|left}", EGO, SPEED, "own speed", _ALWAYS)
-    PLANE_VELOCITY = Group("own velocity {x|y}", ARENA, SPEED, "own speed", sense=COMPASS)
+    POSITION = Group("own position {x|y}", ARENA, LENGTH, "place", _PLACED, _BOTH, sense=COMPASS)
+    VELOCITY = Group("own velocity {ahead|left}", EGO, SPEED, "own speed", _MOVES, _ALWAYS)
+    PLANE_VELOCITY = Group("own velocity {x|y}", ARENA, SPEED, "own speed", _MOVES, sense=COMPASS)
     FINE, COARSE, LOG_SPEED = _OWN
-    ACCELERATION = Group("own acceleration / u {ahead|left}", EGO, "1", "acceleration", _SMALL)
-    FOCUS = Group("focus direction {cosine|sine}", ARENA, "1", "unit", _BOTH, sense=COMPASS)
-    TIME = Group("log of (1 + steps since the start)", "any", "1", "log steps", sense="senses_time")
+    ACCELERATION = Group(
+        "own acceleration / u {ahead|left}",
+        EGO,
+        "1",
+        "acceleration",
+        "{who} pushes {way} harder",
+        _SMALL,
+    )
+    FOCUS = Group(
+        "focus direction {cosine|sine}",
+        ARENA,
+        "1",
+        "unit",
+        "what {who} faces is in another direction",
+        _BOTH,
+        sense=COMPASS,
+    )
+    TIME = Group(
+        "log of (1 + steps since the start)",
+        "any",
+        "1",
+        "log steps",
+        "the episode lasts [shorter|longer]",
+        sense="senses_time",
+    )
     FINE_SHORT, COARSE_SHORT, LOG_SHORT = _SHORT
     FINE_LONG, COARSE_LONG, LOG_LONG = _LONG
     FINE_MEMORY, COARSE_MEMORY, LOG_MEMORY, TURN_MEMORY, SPEED_MEMORY = _MEMORY[:RECALLED]
@@ -149,36 +225,113 @@ class Seen(IntEnum):
     _F3, _C3, _L3, _T3, _S3 = _MEMORY[3 * RECALLED :]
     DELAYED_SPEED = Group(
         tuple(f"log of (speed {k + 1} delays ago / (u dt) + 0.3)" for k in range(DELAYS)),
-        "any", "1", "log speed", sense="free",
-    )  # fmt: skip
-    OWN_TRAITS = Group(TRAITS, "individual", "sd", "trait", sense="traits")
-    HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
-    COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
-    PUSH = Group(_directions("own acceleration"), EGO, "1", "unit", sense="senses_course")
+        "any",
+        "1",
+        "log speed",
+        "in the last second or so {who} was [slower|faster]",
+        sense="free",
+    )
+    OWN_TRAITS = Group(
+        TRAITS,
+        "individual",
+        "sd",
+        "trait",
+        "{who} is told of a [lower|higher] {name}",
+        sense="traits",
+    )
+    HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", _POINTS, sense="senses_heading")
+    COURSE = Group(
+        _directions("own velocity"),
+        EGO,
+        "1",
+        "unit",
+        "{who} moves in another direction",
+        sense="senses_course",
+    )
+    PUSH = Group(
+        _directions("own acceleration"),
+        EGO,
+        "1",
+        "unit",
+        "{who} pushes in another direction",
+        sense="senses_course",
+    )
     # Each other individual
-    PLACE = Group("relative position {ahead|left}", EGO, LENGTH, "offset", _ALWAYS, of_focus=False)
-    DRIFT = Group("relative velocity {ahead|left}", EGO, SPEED, "difference", _ALWAYS)
-    DISTANCE = Group("distance", "any", LENGTH, "distance", _ALWAYS)
-    BEARING = Group("-bearing", EGO, "rad", "angle", (PAPER,))
-    NEARNESS = Group("inverse of (distance + 0.1 size)", "any", "1 / arena unit", "nearness")
-    BEARING_CIRCLE = Group("bearing {cosine|sine}", EGO, "1", "unit", of_focus=False)
-    OTHER_POSITION = Group("position {x|y}", ARENA, LENGTH, "place", sense=COMPASS)
-    OTHER_VELOCITY = Group("velocity {x|y}", ARENA, SPEED, "speed", sense=COMPASS)
-    OFFSET = Group("difference {x|y}", ARENA, LENGTH, "offset", sense=COMPASS)
-    DIRECTION = Group("direction {cosine|sine}", ARENA, "1", "unit", of_focus=False, sense=COMPASS)
-    OTHER_HEADING = Group("heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
+    PLACE = Group(
+        "relative position {ahead|left}", EGO, LENGTH, "offset", _BESIDE, _ALWAYS, of_focus=False
+    )
+    DRIFT = Group(
+        "relative velocity {ahead|left}",
+        EGO,
+        SPEED,
+        "difference",
+        "seen from it, {who} moves {way} faster",
+        _ALWAYS,
+    )
+    DISTANCE = Group("distance", "any", LENGTH, "distance", "{who} is [nearer|farther]", _ALWAYS)
+    BEARING = Group("-bearing", EGO, "rad", "angle", _ELSEWHERE, (PAPER,))
+    NEARNESS = Group(
+        "inverse of (distance + 0.1 size)",
+        "any",
+        "1 / arena unit",
+        "nearness",
+        "{who} is [farther|nearer]",
+    )
+    BEARING_CIRCLE = Group("bearing {cosine|sine}", EGO, "1", "unit", _ELSEWHERE, of_focus=False)
+    OTHER_POSITION = Group("position {x|y}", ARENA, LENGTH, "place", _PLACED, sense=COMPASS)
+    OTHER_VELOCITY = Group("velocity {x|y}", ARENA, SPEED, "speed", _MOVES, sense=COMPASS)
+    OFFSET = Group("difference {x|y}", ARENA, LENGTH, "offset", _BESIDE, sense=COMPASS)
+    DIRECTION = Group(
+        "direction {cosine|sine}", ARENA, "1", "unit", _ELSEWHERE, of_focus=False, sense=COMPASS
+    )
+    OTHER_HEADING = Group(
+        "heading {cosine|sine}", EGO, "1", "unit", _POINTS, sense="senses_heading"
+    )
     # The arena
-    CENTRE_DISTANCE = Group("distance from the centre", ARENA, LENGTH, "radius", (PAPER,))
-    EDGE = Group("distance to the edge", ARENA, LENGTH, "inside", _SMALL)
-    CENTRE = Group("centre of the arena {ahead|left}", EGO, LENGTH, "centre", _SMALL)
-    AT_WALL = Group(f"{_WALL} (0.03 size)", WALL, "1", "at wall", of_walls=True)
-    BY_WALL = Group(f"{_WALL} (0.1 size)", WALL, "1", "by wall", of_walls=True)
-    WALL_CIRCLE = Group("direction of the wall {cosine|sine}", EGO, "1", "unit", of_walls=True)
+    CENTRE_DISTANCE = Group(
+        "distance from the centre",
+        ARENA,
+        LENGTH,
+        "radius",
+        "{who} is [nearer to|farther from] the centre",
+        (PAPER,),
+    )
+    EDGE = Group(
+        "distance to the edge",
+        ARENA,
+        LENGTH,
+        "inside",
+        "{who} is [nearer to|farther from] the edge",
+        _SMALL,
+    )
+    CENTRE = Group(
+        "centre of the arena {ahead|left}",
+        EGO,
+        LENGTH,
+        "centre",
+        "the centre of the arena is farther {side}",
+        _SMALL,
+    )
+    AT_WALL = Group(f"{_WALL} (0.03 size)", WALL, "1", "at wall", _NEAR_WALL, of_walls=True)
+    BY_WALL = Group(f"{_WALL} (0.1 size)", WALL, "1", "by wall", _NEAR_WALL, of_walls=True)
+    WALL_CIRCLE = Group(
+        "direction of the wall {cosine|sine}",
+        EGO,
+        "1",
+        "unit",
+        "the wall is in another direction",
+        of_walls=True,
+    )
     FINE_WALL = Group(
-        "tanh of own velocity / (u dt) {outwards|along}", WALL, "1", "fine", of_walls=True
+        "tanh of own velocity / (u dt) {outwards|along}", WALL, "1", "fine", _MOVES, of_walls=True
     )
     COARSE_WALL = Group(
-        "tanh of own velocity / (3 u dt) {outwards|along}", WALL, "1", "coarse", of_walls=True
+        "tanh of own velocity / (3 u dt) {outwards|along}",
+        WALL,
+        "1",
+        "coarse",
+        _MOVES,
+        of_walls=True,
     )
 
 
@@ -250,11 +403,15 @@ def observation_components(
     return tuple(
         ObservationComponent(
             f"other {rank} {name}" if rank else name,
-            group.frame, group.unit, *spans[group.range], sign=sign,
+            group.frame,
+            group.unit,
+            *spans[group.range],
+            sign=sign,
+            description=group.describe(rank, name, direction),
         )
         for rank, _, group in rows(species)
-        for name, sign in group.entries
-    )  # fmt: skip
+        for name, sign, direction in group.entries
+    )
 
 
 def ranges(

@@ -24,58 +24,235 @@ REST = 0.3  # added to the speed in steps of thrust before its logarithm is take
 class Seen(IntEnum):
     """Rows of an observation: its component's name, frame, unit, range, and look in a mirror.
 
-    ``span`` names a range of :func:`observation_components`; ``sign`` and ``mirror`` are those of
-    an :class:`~animarl_envs.worlds.base.ObservationComponent`.
+    ``span`` names a range of :func:`observation_components`; ``description``, ``sign`` and
+    ``mirror`` are those of an :class:`~animarl_envs.worlds.base.ObservationComponent`.
     """
 
-    component: tuple[str, str, str, str, float, str]
+    component: tuple[str, str, str, str, str, float, str]
 
     def __new__(
-        cls, label: str, frame: str, unit: str, span: str, sign: float = 1.0, mirror: str = ""
+        cls,
+        label: str,
+        frame: str,
+        unit: str,
+        span: str,
+        description: str,
+        sign: float = 1.0,
+        mirror: str = "",
     ) -> Seen:
         """Make a member numbered in order, with its component."""
         member = int.__new__(cls, len(cls.__members__))
         member._value_ = len(cls.__members__)
-        member.component = label, frame, unit, span, sign, mirror
+        member.component = label, frame, unit, span, description, sign, mirror
         return member
 
-    VELOCITY_AHEAD = "velocity ahead", EGO, "arena unit / s", "speed"
-    VELOCITY_LEFT = "velocity left", EGO, "arena unit / s", "speed", -1.0
-    BODY_ANGLE = "body angle", EGO, "rad", "angle", -1.0
-    ODOUR_LEFT = "odour left", BODY, "1", "share", 1.0, "odour right"
-    ODOUR_RIGHT = "odour right", BODY, "1", "share", 1.0, "odour left"
-    FLOW = "visual flow", BODY, "rad / s", "flow", -1.0
-    WIND_FRONT = "wind from front", BODY, "1", "share"
-    WIND_RIGHT = "wind from right", BODY, "1", "share", 1.0, "wind from left"
-    WIND_LEFT = "wind from left", BODY, "1", "share", 1.0, "wind from right"
-    WIND_BACK = "wind from back", BODY, "1", "share"
-    HIT_LEFT = "hit left", BODY, "1", "share", 1.0, "hit right"
-    HIT_RIGHT = "hit right", BODY, "1", "share", 1.0, "hit left"
-    ODOUR_DIFFERENCE = "odour left minus right", BODY, "1", "unit", -1.0
-    ODOUR_SUM = "odour left plus right", BODY, "1", "sum"
-    TRACE_LEFT = "trace left", BODY, "1", "share", 1.0, "trace right"
-    TRACE_RIGHT = "trace right", BODY, "1", "share", 1.0, "trace left"
-    ANGLE_COSINE = "body angle, cosine", EGO, "1", "unit"
-    ANGLE_SINE = "body angle, sine", EGO, "1", "unit", -1.0
-    FINE_AHEAD = "velocity ahead, fine", EGO, "1", "unit"
-    FINE_LEFT = "velocity left, fine", EGO, "1", "unit", -1.0
-    COARSE_AHEAD = "velocity ahead, coarse", EGO, "1", "unit"
-    COARSE_LEFT = "velocity left, coarse", EGO, "1", "unit", -1.0
-    LOG_SPEED = "log speed", EGO, "1", "log speed"
-    ACCELERATION_AHEAD = "acceleration ahead / u", EGO, "1", "push"
-    ACCELERATION_LEFT = "acceleration left / u", EGO, "1", "push", -1.0
-    YAW_RATE = "yaw rate", BODY, "rad / s", "turn", -1.0
-    TURN_1 = "turning, 1 s", BODY, "rad / s", "turn", -1.0
-    TURN_3 = "turning, 3 s", BODY, "rad / s", "turn", -1.0
-    TURN_10 = "turning, 10 s", BODY, "rad / s", "turn", -1.0
-    WAY_LEFT_3 = "way left, 3 s", EGO, "1", "strides", -1.0
-    WAY_LEFT_10 = "way left, 10 s", EGO, "1", "strides", -1.0
-    WAY_AHEAD_3 = "way ahead, 3 s", EGO, "1", "strides"
-    WAY_AHEAD_10 = "way ahead, 10 s", EGO, "1", "strides"
-    SPEED_10 = "own speed, 10 s", EGO, "1", "strides"
-    SINCE_HIT = "time since a hit, log", BODY, "1", "since"
-    OWN_SPEED = TRAITS[0], "individual", "sd", "trait"
-    OWN_TURNING = TRAITS[1], "individual", "sd", "trait"
+    VELOCITY_AHEAD = (
+        "velocity ahead",
+        EGO,
+        "arena unit / s",
+        "speed",
+        "it moves [downwind|upwind] faster",
+    )
+    VELOCITY_LEFT = (
+        "velocity left",
+        EGO,
+        "arena unit / s",
+        "speed",
+        "it moves to the [right|left] faster",
+        -1.0,
+    )
+    BODY_ANGLE = ("body angle", EGO, "rad", "angle", "it moves in another direction", -1.0)
+    ODOUR_LEFT = (
+        "odour left",
+        BODY,
+        "1",
+        "share",
+        "it smells [less|more] on the left",
+        1.0,
+        "odour right",
+    )
+    ODOUR_RIGHT = (
+        "odour right",
+        BODY,
+        "1",
+        "share",
+        "it smells [less|more] on the right",
+        1.0,
+        "odour left",
+    )
+    FLOW = ("visual flow", BODY, "rad / s", "flow", "it turns [right|left] faster", -1.0)
+    WIND_FRONT = ("wind from front", BODY, "1", "share", "it feels [less|more] wind from the front")
+    WIND_RIGHT = (
+        "wind from right",
+        BODY,
+        "1",
+        "share",
+        "it feels [less|more] wind from the right",
+        1.0,
+        "wind from left",
+    )
+    WIND_LEFT = (
+        "wind from left",
+        BODY,
+        "1",
+        "share",
+        "it feels [less|more] wind from the left",
+        1.0,
+        "wind from right",
+    )
+    WIND_BACK = ("wind from back", BODY, "1", "share", "it feels [less|more] wind from the back")
+    HIT_LEFT = (
+        "hit left",
+        BODY,
+        "1",
+        "share",
+        "it smells [less|more] on the left",
+        1.0,
+        "hit right",
+    )
+    HIT_RIGHT = (
+        "hit right",
+        BODY,
+        "1",
+        "share",
+        "it smells [less|more] on the right",
+        1.0,
+        "hit left",
+    )
+    ODOUR_DIFFERENCE = (
+        "odour left minus right",
+        BODY,
+        "1",
+        "unit",
+        "it smells more on the [right|left]",
+        -1.0,
+    )
+    ODOUR_SUM = ("odour left plus right", BODY, "1", "sum", "it smells [less|more]")
+    TRACE_LEFT = (
+        "trace left",
+        BODY,
+        "1",
+        "share",
+        "it smells [less|more] on the left",
+        1.0,
+        "trace right",
+    )
+    TRACE_RIGHT = (
+        "trace right",
+        BODY,
+        "1",
+        "share",
+        "it smells [less|more] on the right",
+        1.0,
+        "trace left",
+    )
+    ANGLE_COSINE = ("body angle, cosine", EGO, "1", "unit", "it moves in another direction")
+    ANGLE_SINE = ("body angle, sine", EGO, "1", "unit", "it moves in another direction", -1.0)
+    FINE_AHEAD = ("velocity ahead, fine", EGO, "1", "unit", "it moves [downwind|upwind] faster")
+    FINE_LEFT = (
+        "velocity left, fine",
+        EGO,
+        "1",
+        "unit",
+        "it moves to the [right|left] faster",
+        -1.0,
+    )
+    COARSE_AHEAD = ("velocity ahead, coarse", EGO, "1", "unit", "it moves [downwind|upwind] faster")
+    COARSE_LEFT = (
+        "velocity left, coarse",
+        EGO,
+        "1",
+        "unit",
+        "it moves to the [right|left] faster",
+        -1.0,
+    )
+    LOG_SPEED = ("log speed", EGO, "1", "log speed", "it is [slower|faster]")
+    ACCELERATION_AHEAD = (
+        "acceleration ahead / u",
+        EGO,
+        "1",
+        "push",
+        "it pushes [downwind|upwind] harder",
+    )
+    ACCELERATION_LEFT = (
+        "acceleration left / u",
+        EGO,
+        "1",
+        "push",
+        "it pushes to the [right|left] harder",
+        -1.0,
+    )
+    YAW_RATE = ("yaw rate", BODY, "rad / s", "turn", "it turns [right|left] faster", -1.0)
+    TURN_1 = (
+        "turning, 1 s",
+        BODY,
+        "rad / s",
+        "turn",
+        "over the last 1 s it turned [right|left] faster",
+        -1.0,
+    )
+    TURN_3 = (
+        "turning, 3 s",
+        BODY,
+        "rad / s",
+        "turn",
+        "over the last 3 s it turned [right|left] faster",
+        -1.0,
+    )
+    TURN_10 = (
+        "turning, 10 s",
+        BODY,
+        "rad / s",
+        "turn",
+        "over the last 10 s it turned [right|left] faster",
+        -1.0,
+    )
+    WAY_LEFT_3 = (
+        "way left, 3 s",
+        EGO,
+        "1",
+        "strides",
+        "over the last 3 s it went farther to the [right|left]",
+        -1.0,
+    )
+    WAY_LEFT_10 = (
+        "way left, 10 s",
+        EGO,
+        "1",
+        "strides",
+        "over the last 10 s it went farther to the [right|left]",
+        -1.0,
+    )
+    WAY_AHEAD_3 = (
+        "way ahead, 3 s",
+        EGO,
+        "1",
+        "strides",
+        "over the last 3 s it went farther [downwind|upwind]",
+    )
+    WAY_AHEAD_10 = (
+        "way ahead, 10 s",
+        EGO,
+        "1",
+        "strides",
+        "over the last 10 s it went farther [downwind|upwind]",
+    )
+    SPEED_10 = ("own speed, 10 s", EGO, "1", "strides", "over the last 10 s it was [slower|faster]")
+    SINCE_HIT = (
+        "time since a hit, log",
+        BODY,
+        "1",
+        "since",
+        "it smelled something [more recently|longer ago]",
+    )
+    OWN_SPEED = (TRAITS[0], "individual", "sd", "trait", "it is told of a [lower|higher] own speed")
+    OWN_TURNING = (
+        TRAITS[1],
+        "individual",
+        "sd",
+        "trait",
+        "it is told of a [lower|higher] own turning",
+    )
 
 
 PAPER = Seen.WIND_BACK + 1  # components of the paper
@@ -126,6 +303,8 @@ def observation_components(
     if species.observation == "odour":
         wanted = [Seen.HIT_LEFT, Seen.HIT_RIGHT]
     return tuple(
-        ObservationComponent(label, frame, unit, *spans[span], sign, mirror)
-        for label, frame, unit, span, sign, mirror in (seen.component for seen in wanted)
+        ObservationComponent(label, frame, unit, *spans[span], sign, mirror, description)
+        for label, frame, unit, span, description, sign, mirror in (
+            seen.component for seen in wanted
+        )
     )

@@ -21,13 +21,19 @@ from animarl_algos.whatif.absent import FewerWorld, Present
 from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.answer_page import answer_page, findings, words
 from animarl_algos.whatif.changes import Scenario, parse_change, parse_scenarios
-from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy, in_words, others_in_order
+from animarl_algos.whatif.extrapolation import (
+    InputRange,
+    WatchedPolicy,
+    describe_departures,
+    others_in_order,
+)
 from animarl_algos.whatif.shifts import NO_INTERVAL, judge, share_as_large
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES, get_species
 from animarl_envs.species.traits import Traits
 from animarl_envs.worlds import make_world, observation_components
+from animarl_envs.worlds.base import ObservationComponent
 from animarl_envs.worlds.plume.plume import ModelPlume
 from benchmarks.whatif_bars import bars, held_out_rules, page, summary, warned
 from benchmarks.whatif_truth import answered, entered_run, false_claims, rows, truth_of
@@ -307,14 +313,18 @@ def test_watching_counts_running_episodes_only() -> None:
 
 def test_what_leaves_the_range_is_told_in_words_of_ethology() -> None:
     said = {}
-    for species in SPECIES.values():
+    for species in (*SPECIES.values(), replace(MOTH, name="recorded moth", senses_past=True)):
         for observation in ("compact", "paper", "full"):
             for one in observation_components(replace(species, observation=observation)):
-                words = said[species.name, one.name] = in_words(one)
-                assert not re.search(
-                    r"None|tanh|log|harmonic|sine|[/\\[|\]]|WHO|WAY|SIDE", words[0]
-                )
-                assert (words[0] == words[1]) == ("new to it" in words[0] or "along" in words[0])
+                assert one.description, one.name
+                words = said[species.name, one.name] = describe_departures(one)
+                assert not re.search(r"None|tanh|log|harmonic|sine|[/\\[|\]]|who|  ", words[0])
+                same = "another direction" in words[0] or "along" in words[0]
+                assert (words[0] == words[1]) == same, words
+    since = said["recorded moth", "time since a hit, log"][1]
+    assert since == "it smelled something longer ago than ever in training"
+    unnamed = ObservationComponent("wing beat", "any", "Hz", 0.0, 1.0)
+    assert describe_departures(unnamed)[0] == "wing beat is lower than ever in training"
     left, right = said["agent", "other 2 relative position left"][::-1]
     assert left == "{2} is farther to the left of it than ever in training"
     assert right == "{2} is farther to the right of it than ever in training"
