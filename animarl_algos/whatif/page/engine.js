@@ -43,83 +43,8 @@ const AnimaRL = (() => {
 
   // -- matrix products -----------------------------------------------------------------------------
 
-  /** Return WebAssembly of y = max?(x w + b): four rows and eight columns at a time in SIMD. */
-  function gemmModule() {
-    const leb = (value) => {
-      const bytes = [];
-      for (;;) {
-        const low = value & 0x7f;
-        value >>= 7;
-        const last = (value === 0 && !(low & 0x40)) || (value === -1 && low & 0x40);
-        bytes.push(last ? low : low | 0x80);
-        if (last) return bytes;
-      }
-    };
-    const uleb = (value) => {
-      const bytes = [];
-      do {
-        bytes.push((value & 0x7f) | (value > 0x7f ? 0x80 : 0));
-        value >>>= 7;
-      } while (value);
-      return bytes;
-    };
-    // Parameters: bytes of x, w, b, y; then rows, inputs, outputs, row stride of x [bytes], relu.
-    const [X, W, B, Y, ROWS, N, M, STRIDE, RELU, r, j, i, xr, wp, yr] = Array(15).keys();
-    const first = 15; // of eight accumulators and two columns of w
-    const get = (k) => [0x20, ...uleb(k)], set = (k) => [0x21, ...uleb(k)];
-    const constant = (value) => [0x41, ...leb(value)];
-    const add = [0x6a], multiply = [0x6c];
-    const vector = (...codes) => [0xfd, ...codes];
-    const load = (offset) => vector(0x00, 2, ...uleb(offset));
-    const splat = vector(0x09, 2, 0), store = (offset) => vector(0x0b, 2, ...uleb(offset));
-    const madd = (acc, column) =>
-      [...get(acc), ...get(column)].concat(get(first + 10), vector(0xe6, 1), vector(0xe4, 1), set(acc));
-    const loop = (counter, bound, step, body) => [
-      ...constant(0), ...set(counter), 0x02, 0x40, 0x03, 0x40,
-      ...get(counter), ...get(bound), 0x4f, 0x0d, 1, // leave when counter >= bound
-      ...body, ...get(counter), ...constant(step), ...add, ...set(counter), 0x0c, 0, 0x0b, 0x0b,
-    ];
-    const rowOffset = (k) => [...get(STRIDE), ...constant(k), ...multiply, ...add];
-    const inner = [...get(wp), ...load(0), ...set(first + 8), ...get(wp), ...load(16), ...set(first + 9)];
-    for (let k = 0; k < 4; k++) {
-      inner.push(...get(xr), ...rowOffset(k), ...get(i), ...constant(4), ...multiply, ...add, ...splat);
-      inner.push(...set(first + 10), ...madd(first + 2 * k, first + 8), ...madd(first + 2 * k + 1, first + 9));
-    }
-    inner.push(...get(wp), ...get(M), ...constant(4), ...multiply, ...add, ...set(wp));
-    const perColumn = [];
-    for (let k = 0; k < 8; k++) {
-      perColumn.push(...get(B), ...get(j), ...constant(4), ...multiply, ...add, ...load(16 * (k & 1)));
-      perColumn.push(...set(first + k));
-    }
-    perColumn.push(...get(W), ...get(j), ...constant(4), ...multiply, ...add, ...set(wp));
-    perColumn.push(...loop(i, N, 1, inner));
-    const clipped = [...get(RELU), 0x04, 0x40];
-    for (let k = 0; k < 8; k++) {
-      clipped.push(...get(first + k), ...vector(0x0c, ...new Array(16).fill(0)), ...vector(0xe9, 1));
-      clipped.push(...set(first + k));
-    }
-    perColumn.push(...clipped, 0x0b);
-    for (let k = 0; k < 8; k++) {
-      perColumn.push(...get(yr), ...get(M), ...constant(4 * (k >> 1)), ...multiply, ...add);
-      perColumn.push(...get(j), ...constant(4), ...multiply, ...add, ...get(first + k), ...store(16 * (k & 1)));
-    }
-    const perRow = [
-      ...get(X), ...get(r), ...get(STRIDE), ...multiply, ...add, ...set(xr),
-      ...get(Y), ...get(r), ...get(M), ...multiply, ...constant(4), ...multiply, ...add, ...set(yr),
-      ...loop(j, M, 8, perColumn),
-    ];
-    const code = [2, 6, 0x7f, 11, 0x7b, ...loop(r, ROWS, 4, perRow), 0x0b];
-    const section = (id, bytes) => [id, ...uleb(bytes.length), ...bytes];
-    const text = (value) => [value.length, ...new TextEncoder().encode(value)];
-    return new Uint8Array([
-      0, 0x61, 0x73, 0x6d, 1, 0, 0, 0,
-      ...section(1, [1, 0x60, 9, ...new Array(9).fill(0x7f), 0]),
-      ...section(2, [1, ...text("e"), ...text("m"), 2, 0, 1]),
-      ...section(3, [1, 0]),
-      ...section(7, [1, ...text("gemm"), 0, 0]),
-      ...section(10, [1, ...uleb(code.length), ...code]),
-    ]);
-  }
+  // gemm.wat (sha256 67dd5371141d64373c1340e23130e36b5b621bdaead1e72e613a15ff0375527e) in WebAssembly, written by `python tools/assemble_gemm.py`
+  const GEMM = "AGFzbQEAAAABDQFgCX9/f39/f39/fwACCAEBZQFtAgABAwIBAAcIAQRnZW1tAAAKpwQBpAQCCX8LeyAERQRADwsgBkECdCEMIAdBAXQhECAQIAdqIREDQEEAIQoDQCACIApqIQ4gDv0AAgAhGiAO/QACECEbIBohEiAbIRMgGiEUIBshFSAaIRYgGyEXIBohGCAbIRkgASAKaiEOIAAgCSAHbGohDUEAIQsCQANAIAsgBU8NASAO/QACACEaIA79AAIQIRsgDf0JAgAhHCASIBogHP3mAf3kASESIBMgGyAc/eYB/eQBIRMgDSAHav0JAgAhHCAUIBogHP3mAf3kASEUIBUgGyAc/eYB/eQBIRUgDSAQav0JAgAhHCAWIBogHP3mAf3kASEWIBcgGyAc/eYB/eQBIRcgDSARav0JAgAhHCAYIBogHP3mAf3kASEYIBkgGyAc/eYB/eQBIRkgDUEEaiENIA4gDGohDiALQQFqIQsMAAsLIAgEQP0MAAAAAAAAAAAAAAAAAAAAACEcIBIgHP3pASESIBMgHP3pASETIBQgHP3pASEUIBUgHP3pASEVIBYgHP3pASEWIBcgHP3pASEXIBggHP3pASEYIBkgHP3pASEZCyADIApqIAkgDGxqIQ8gDyAS/QsCACAPIBP9CwIQIA8gDGohDyAPIBT9CwIAIA8gFf0LAhAgDyAMaiEPIA8gFv0LAgAgDyAX/QsCECAPIAxqIQ8gDyAY/QsCACAPIBn9CwIQIApBIGohCiAKIAxJDQALIAlBBGohCSAJIARJDQALCwDdAQRuYW1lAqABAQAdAAF4AQF3AgFiAwF5BARyb3dzBQZpbnB1dHMGB291dHB1dHMHBnN0cmlkZQgEcmVsdQkDcm93CgZjb2x1bW4LBWlucHV0DAV3aWR0aA0CeHAOAndwDwJ5cBAHc3RyaWRlMhEHc3RyaWRlMxIDczAwEwNzMDEUA3MxMBUDczExFgNzMjAXA3MyMRgDczMwGQNzMzEaAncwGwJ3MRwBdgMzAQAEAQlyb3dzX2xlZnQCDGNvbHVtbnNfbGVmdAMIbm9faW5wdXQEC2lucHV0c19sZWZ0";
 
   /** Memory with matrix products on it; plain JavaScript where there is no SIMD. */
   class Products {
@@ -129,7 +54,7 @@ const AnimaRL = (() => {
       this.floats = new Float32Array(this.memory.buffer);
       this.end = 4; // address 0 stays unused [floats]
       try {
-        const module = new WebAssembly.Module(gemmModule());
+        const module = new WebAssembly.Module(Uint8Array.from(atob(GEMM), (c) => c.charCodeAt(0)));
         this.gemm = new WebAssembly.Instance(module, { e: { m: this.memory } }).exports.gemm;
       } catch {
         this.gemm = null;

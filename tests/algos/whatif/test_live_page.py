@@ -1,5 +1,7 @@
 """The what-if page: its simulator step by step beside Python's, and the page in a browser."""
 
+import base64
+import hashlib
 import json
 import shutil
 import subprocess
@@ -32,6 +34,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.species.traits import Traits
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
+from tools.assemble_gemm import CONSTANT, PAGE
 
 COPIES, STEPS = 4, 250  # 1,000 steps of every individual
 COMPARE = """
@@ -163,6 +166,15 @@ def test_parity_of_the_page_with_python(
     assert off["duration"] == pytest.approx(
         ((python.lengths - 1) * python.dt).mean(), rel=0.35
     )  # of other random numbers
+
+
+def test_the_matrix_product_of_the_page_is_that_of_its_source() -> None:
+    """``python tools/assemble_gemm.py`` writes it anew."""
+    match = CONSTANT.search((PAGE / "engine.js").read_text(encoding="utf-8"))
+    assert match is not None
+    source, _, code = match.groups()
+    assert source == hashlib.sha256((PAGE / "gemm.wat").read_bytes()).hexdigest()
+    assert base64.b64decode(code).startswith(b"\0asm")
 
 
 def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
