@@ -61,7 +61,7 @@ from animarl_algos.runs.pipeline import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
 from animarl_algos.whatif.answer import Answer, ask, quantities_of
-from animarl_algos.whatif.changes import Scenario, parse_scenarios
+from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.truth import TeamTruth, Truth, mean_by_start
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -125,20 +125,20 @@ class ProgramTruth:
         self.unit, self.repetitions = unit_of(run.demos), repetitions
         self.species: Species = SPECIES[run.species.name]
 
-    def check(self, scenario: Scenario) -> None:
+    def check(self, scenario: ChangedWorld) -> None:
         """Accept every change."""
 
-    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
         """Return what the program does from the test starts in both worlds."""
         return self._unchanged, self._simulate(scenario, reading)
 
     @cached_property
     def _unchanged(self) -> Rollouts:
-        return self._simulate(Scenario(()), "habit")
+        return self._simulate(ChangedWorld(()), "habit")
 
-    def _simulate(self, scenario: Scenario, reading: Reading) -> Rollouts:
+    def _simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
         species = change_world(self.species, reading, **scenario.options(self.species, self.unit))
-        test = scenario.moved(self.test, species)
+        test = scenario.move_starts(self.test, species)
         if scenario.removed:
             left = Present.without(species, scenario.removed)
             species, test = left.species, test.of_individuals(left.own)
@@ -316,7 +316,7 @@ def answered(
         found = ask(
             runs, texts, repetitions=repetitions, reading=reading, separately=True, truth=truth
         )
-        usual = truth.roll_out(Scenario(()), reading)[0]
+        usual = truth.roll_out(ChangedWorld(()), reading)[0]
         for answer in found.answers:
             yield Answered(reading, answer, found.baseline, usual)
 

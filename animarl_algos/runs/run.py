@@ -513,7 +513,7 @@ class Run:
         split: str = "test",
         repetitions: int = 5,
         condition: Condition = "demo",
-        told: Cue = "actual",
+        flag: Cue = "actual",
         seed: int | None = None,
         reading: Reading = "habit",
         wrap: Callable[[Policy], Policy] = lambda policy: policy,
@@ -534,8 +534,8 @@ class Run:
             Rollouts from each start.
         condition
             0, 1, or that of each demonstration.
-        told
-            Which condition the policy is told, where it learned with a flag.
+        flag
+            The condition flag that the policy gets, if it learned with one.
         seed
             By default that of the run.
         reading
@@ -557,7 +557,7 @@ class Run:
         return self.roll_out(
             self.policy,
             method_name(self.settings.algo),
-            told if self.told_condition else None,
+            flag if self.has_condition_flag else None,
             scenario=self.starting_from(split, condition, species=species),
             repetitions=repetitions,
             seed=seed,
@@ -565,7 +565,7 @@ class Run:
         )
 
     @property
-    def told_condition(self) -> bool:
+    def has_condition_flag(self) -> bool:
         """Whether the policy was told the condition in training, and so can be told another."""
         return self.policy.layout.condition_flag
 

@@ -32,9 +32,13 @@ from animarl_envs.worlds.chase.layout import observation_components
 from animarl_envs.worlds.chase.neighbours import neighbours_of
 from animarl_envs.worlds.chase.world import ChaseWorld
 
-FARTHEST = 0.95  # quantile of the distances of pursuers from the target in training
-BEYOND = 1.05  # times the distance of the nearest: at its own distance rounding would order the two
-ASIDE = np.deg2rad(20.0)  # exactly behind somebody nobody ever was: that alone would be new
+DISTANCE_QUANTILE = 0.95  # quantile of the distances of pursuers from the target in training
+DISTANCE_FACTOR_OF_REMOVED = (
+    1.05  # times the distance of the nearest: at its own distance rounding would order the two
+)
+ANGLE_OF_REMOVED = np.deg2rad(
+    20.0
+)  # exactly behind somebody nobody ever was: that alone would be new
 observe_all = jit(getattr(senses.observe, "py_func", senses.observe))  # a part, called from Python
 
 
@@ -91,7 +95,7 @@ def simulate_from(
     absent: Sequence[str] = (),
     *,
     reading: Reading,
-    told: Cue = "actual",
+    flag: Cue = "actual",
     condition: Condition = "demo",
     repetitions: int = 5,
     wrap: Callable[[Policy], Policy] = lambda policy: policy,
@@ -116,7 +120,7 @@ def simulate_from(
     rollouts: Rollouts = run.roll_out(
         run.policy,
         "what if",
-        told if run.told_condition else None,
+        flag if run.has_condition_flag else None,
         scenario=scenario,
         repetitions=repetitions,
         wrap=act,
@@ -128,7 +132,7 @@ def simulate_from(
 def farthest_pursuer(demos: Demonstrations) -> float:
     """Return from how far on pursuers count as far from the target [arena unit]."""
     apart = np.linalg.norm(demos.positions[:, :-1] - demos.positions[:, -1:], axis=-1)
-    return float(np.quantile(apart, FARTHEST))
+    return float(np.quantile(apart, DISTANCE_QUANTILE))
 
 
 class FewerWorld(ChaseWorld):
@@ -196,8 +200,15 @@ class FewerWorld(ChaseWorld):
         nearest, copies = apart.argmin(axis=0), np.arange(self.num_copies)
         ahead, length = away[nearest, :, copies], apart[nearest, copies][:, None]
         direction = np.where(length > 0, ahead / np.maximum(length, 1e-12), FALLBACK)
-        turn = np.array([[np.cos(ASIDE), np.sin(ASIDE)], [-np.sin(ASIDE), np.cos(ASIDE)]])
-        return nearest, target.T + direction @ turn * np.maximum(BEYOND * length, self._farthest)
+        turn = np.array(
+            [
+                [np.cos(ANGLE_OF_REMOVED), np.sin(ANGLE_OF_REMOVED)],
+                [-np.sin(ANGLE_OF_REMOVED), np.cos(ANGLE_OF_REMOVED)],
+            ]
+        )
+        return nearest, target.T + direction @ turn * np.maximum(
+            DISTANCE_FACTOR_OF_REMOVED * length, self._farthest
+        )
 
     def _with_absent(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = np.zeros((len(self._shown), *own.shape[1:]))

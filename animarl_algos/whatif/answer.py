@@ -19,7 +19,7 @@ from animarl_algos.evaluation.prepared import censored, path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.whatif.absent import Present, simulate_from
-from animarl_algos.whatif.changes import Scenario, parse_scenarios
+from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
@@ -27,7 +27,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target, is_free
-from animarl_envs.scenario import Scenario as World
+from animarl_envs.scenario import Scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
@@ -47,7 +47,7 @@ class TrainedRun(Protocol):
     """A finished run, :class:`animarl_algos.runs.run.Run`."""
 
     @property
-    def scenario(self) -> World: ...
+    def scenario(self) -> Scenario: ...
 
     @property
     def demos(self) -> Demonstrations: ...
@@ -56,9 +56,9 @@ class TrainedRun(Protocol):
     def policy(self) -> Any: ...
 
     @property
-    def told_condition(self) -> bool: ...
+    def has_condition_flag(self) -> bool: ...
 
-    def starting_from(self, split: str | None, *more: Any, **options: Any) -> World: ...
+    def starting_from(self, split: str | None, *more: Any, **options: Any) -> Scenario: ...
 
     def roll_out(self, *given: Any, **options: Any) -> Rollouts: ...
 
@@ -106,7 +106,7 @@ class Answer:
         Episodes of the truth in the changed world, where it is known.
     """
 
-    scenario: Scenario
+    scenario: ChangedWorld
     table: pd.DataFrame
     warning: str
     reason: str
@@ -235,16 +235,16 @@ def ask(
     )
 
 
-def _check(scenario: Scenario, run: TrainedRun, unit: Unit) -> None:
+def _check(scenario: ChangedWorld, run: TrainedRun, unit: Unit) -> None:
     """Refuse what cannot be made before anything is simulated."""
     species = change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
-    scenario.moved(run.demos.select(split="test"), species)
+    scenario.move_starts(run.demos.select(split="test"), species)
     if scenario.removed:
         Present.without(species, scenario.removed)
     sensed = run.scenario.species.condition_is_sensed
     if scenario.condition is None:
         return
-    if not sensed and not run.told_condition:
+    if not sensed and not run.has_condition_flag:
         raise InputError(
             "the policies of this run were never told the condition, so they cannot be told "
             "another: train a run on recordings of both conditions"
@@ -269,12 +269,12 @@ class _Comparison:
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
-        self.baseline, *self.usual = self._simulate(Scenario(()), {}, "habit")
+        self.baseline, *self.usual = self._simulate(ChangedWorld(()), {}, "habit")
         self.quantities = list(quantities_of(self.species, unit))
         # What stands beside recordings that were cut stops there too.
         self.comparable = censored(self.baseline, self.test)
 
-    def answer(self, scenario: Scenario, nulls: Sequence[_Comparison] = ()) -> Answer:
+    def answer(self, scenario: ChangedWorld, nulls: Sequence[_Comparison] = ()) -> Answer:
         """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
         thrusts = self._thrusts(scenario)
         options = scenario.options(self.species, self.unit, thrusts)
@@ -306,11 +306,11 @@ class _Comparison:
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world, cut as they were."""
-        table = pd.DataFrame(self._rows(Scenario(()), self.baseline, None))
+        table = pd.DataFrame(self._rows(ChangedWorld(()), self.baseline, None))
         table["baseline"] = table["recorded"] + table["gap"]
         return table[["quantity", "unit", "recorded", "baseline", "gap"]]
 
-    def shifts(self, scenario: Scenario) -> list[float]:
+    def shifts(self, scenario: ChangedWorld) -> list[float]:
         """Return the shift of each quantity."""
         options = scenario.options(self.species, self.unit)
         changed = self._simulate(scenario, options, self.reading)[0]
@@ -318,7 +318,7 @@ class _Comparison:
 
     def _simulate(
         self,
-        scenario: Scenario,
+        scenario: ChangedWorld,
         options: Mapping[str, Any],
         reading: Reading,
         repetitions: int | None = None,
@@ -326,12 +326,12 @@ class _Comparison:
         """Rollouts of all runs, and shares of inputs beyond their range; NaN of the absent."""
         parts: list[Rollouts] = []
         names = self.species.individuals
-        moved = scenario.moved(self.test, change_world(self.species, **options))
+        moved = scenario.move_starts(self.test, change_world(self.species, **options))
         there = [i for i, name in enumerate(names) if name not in scenario.removed]
         cue: dict[str, Any] = {}
         if scenario.condition is not None:
             index = self.species.conditions.index(scenario.condition)
-            cue = {"condition" if self.species.condition_is_sensed else "told": index}
+            cue = {"condition" if self.species.condition_is_sensed else "flag": index}
         size = len(self.ranges[0].words)
         beyond = np.full((len(self.runs), len(names)), np.nan)
         inputs = np.full((len(self.runs), len(names), size), np.nan)
@@ -352,14 +352,16 @@ class _Comparison:
             beyond[number, there], inputs[number, there] = watched.shares()
         return Rollouts.concatenate(parts), beyond.mean(axis=0), inputs.mean(axis=0)
 
-    def _thrusts(self, scenario: Scenario) -> dict[str, float]:
+    def _thrusts(self, scenario: ChangedWorld) -> dict[str, float]:
         """Find by simulation the thrusts at which wanted speeds are achieved."""
         wanted: dict[str, float] = {}  # [arena unit / s]
         usual = _speeds(self.baseline)  # of more rollouts than a try
         scales = {f"{self.unit.name}/s": 1.0 / self.unit.per_arena_unit}
         for change in scenario.speeds:
             assert not isinstance(change.amount, str)
-            wanted |= {n: change.amount.of(usual[n], scales, change.text) for n in change.who}
+            wanted |= {
+                n: change.amount.of(usual[n], scales, change.text) for n in change.individuals
+            }
         factors = dict.fromkeys(wanted, 1.0)
         if not wanted:
             return factors
@@ -386,7 +388,7 @@ class _Comparison:
 
     def _rows(
         self,
-        scenario: Scenario,
+        scenario: ChangedWorld,
         changed: Rollouts,
         other: Rollouts | None,
         true: tuple[Rollouts, Rollouts] | None = None,

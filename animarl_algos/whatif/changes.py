@@ -20,12 +20,12 @@ FACTOR = re.compile(rf"x({NUMBER})")
 PERCENT = re.compile(rf"({NUMBER})%")
 ABSOLUTE = re.compile(rf"({NUMBER})\s*([A-Za-z/]*)")
 SWEEP = re.compile(r"(.+?)\.\.(.+?)/(\d+)")
-MOST_SCENARIOS = 50
+MAX_SCENARIOS = 50
 
 BODY = ("speed", "thrust", "damping")
-NATURE = {name.replace(" ", "_"): column for column, name in enumerate(TRAITS)}
-"""What an individual is told that it is like, of species whose individuals differ [sd]."""
-WORLD = {"arena": "size", "contact": "contact_radius", "time_limit": "time_limit"}
+TRAIT_COLUMNS = {name.replace(" ", "_"): column for column, name in enumerate(TRAITS)}
+"""Columns of the traits of species whose individuals differ, by what a user writes [sd]."""
+OPTION_NAMES = {"arena": "size", "contact": "contact_radius", "time_limit": "time_limit"}
 CONDITION = "condition"
 PLUME = "plume"
 PLUMES = ("model", "continuous", "off")
@@ -61,8 +61,8 @@ class Change:
 
     Parameters
     ----------
-    who
-        Individuals, for what is theirs; empty for the world.
+    individuals
+        Those whose body, trait or start is changed; empty for the world.
     what
         ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition``,
         ``plume``, ``wind``, ``odour``, ``remove``, ``start``, a trait (``own_speed``) or another
@@ -73,14 +73,14 @@ class Change:
         As the user wrote it.
     """
 
-    who: tuple[str, ...]
+    individuals: tuple[str, ...]
     what: str
     amount: Amount | str
     text: str
 
 
 @dataclass(frozen=True)
-class Scenario:
+class ChangedWorld:
     """Changes that are made together."""
 
     changes: tuple[Change, ...]
@@ -107,14 +107,14 @@ class Scenario:
     @property
     def removed(self) -> tuple[str, ...]:
         """Individuals that are taken away."""
-        return tuple(who for one in self.changes if one.what == REMOVE for who in one.who)
+        return tuple(who for one in self.changes if one.what == REMOVE for who in one.individuals)
 
     @property
     def starts(self) -> bool:
         """Whether somebody starts elsewhere."""
         return any(change.what == START for change in self.changes)
 
-    def moved(self, demos: Demonstrations, species: Species) -> Demonstrations:
+    def move_starts(self, demos: Demonstrations, species: Species) -> Demonstrations:
         """Return the recordings with the starts that are asked for, at rest.
 
         Raises
@@ -127,7 +127,7 @@ class Scenario:
         for change in self.changes:
             if change.what != START:
                 continue
-            who = [species.individuals.index(name) for name in change.who]
+            who = [species.individuals.index(name) for name in change.individuals]
             place = _place(str(change.amount), unit_of(demos), change.text)
             if place is None:
                 assert isinstance(species, ChaseSpecies)
@@ -164,19 +164,19 @@ class Scenario:
             elif change.what == "speed":
                 continue
             elif change.what in BODY:
-                for name in change.who:
+                for name in change.individuals:
                     old = getattr(bodies[name], change.what)
                     new = change.amount.of(old, {}, change.text)
                     what: dict[str, Any] = {change.what: new}
                     bodies[name] = replace(bodies[name], **what)
-            elif change.what in NATURE:
-                who = [species.individuals.index(name) for name in change.who]
+            elif change.what in TRAIT_COLUMNS:
+                who = [species.individuals.index(name) for name in change.individuals]
                 traits = options.get("traits", species.traits)
                 assert traits is not None  # else there is no such name
-                options["traits"] = _of_another_nature(traits, who, change)
+                options["traits"] = _shift_traits(traits, who, change)
             elif change.what in AIR:
                 plume = options.get(PLUME, getattr(species, PLUME))
-                options[PLUME] = _with_air(plume, change)
+                options[PLUME] = _change_air(plume, change)
             elif change.what == "arena":
                 options["arena"] = change.amount.of(species.arena.size, lengths, change.text)
             elif change.what == "time_limit":
@@ -185,7 +185,7 @@ class Scenario:
                 )
                 options["time_limit"] = max(1, round(seconds / species.dt))
             else:
-                field = WORLD.get(change.what, change.what)
+                field = OPTION_NAMES.get(change.what, change.what)
                 before = float(getattr(species, field))
                 options[field] = change.amount.of(before, lengths | {"s": 1.0}, change.text)
         if bodies != dict(zip(species.individuals, species.locomotion)):
@@ -195,7 +195,7 @@ class Scenario:
 
 def parse_scenarios(
     texts: Sequence[str], species: Species, *, separately: bool = False
-) -> list[Scenario]:
+) -> list[ChangedWorld]:
     """Return the scenarios that ``--change`` options describe.
 
     Parameters
@@ -217,11 +217,11 @@ def parse_scenarios(
         raise InputError("nothing is changed: give --change NAME=VALUE, " + known(species))
     each = [parse_change(text, species) for text in texts]
     if separately:
-        scenarios = [Scenario((change,)) for points in each for change in points]
+        scenarios = [ChangedWorld((change,)) for points in each for change in points]
     else:
-        scenarios = [Scenario(changes) for changes in itertools.product(*each)]
-    if len(scenarios) > MOST_SCENARIOS:
-        raise InputError(f"{len(scenarios)} scenarios are asked for: ask {MOST_SCENARIOS} at most")
+        scenarios = [ChangedWorld(changes) for changes in itertools.product(*each)]
+    if len(scenarios) > MAX_SCENARIOS:
+        raise InputError(f"{len(scenarios)} scenarios are asked for: ask {MAX_SCENARIOS} at most")
     for scenario in scenarios:
         _check_once(scenario.changes)
     return scenarios
@@ -251,11 +251,11 @@ def parse_change(text: str, species: Species) -> list[Change]:
     if (first.is_factor, first.unit) != (last.is_factor, last.unit):
         raise InputError(f"{text!r}: both ends of a sweep are of one kind, as in -20%..+20%/5")
     number = int(sweep[3])
-    if not 2 <= number <= MOST_SCENARIOS:
-        raise InputError(f"{text!r}: a sweep has 2 to {MOST_SCENARIOS} points")
+    if not 2 <= number <= MAX_SCENARIOS:
+        raise InputError(f"{text!r}: a sweep has 2 to {MAX_SCENARIOS} points")
     points = np.linspace(first.value, last.value, number).tolist()
     amounts = [replace(first, value=point) for point in points]
-    return [Change(who, what, one, f"{name}={_written(one)}") for one in amounts]
+    return [Change(who, what, one, f"{name}={_format_amount(one)}") for one in amounts]
 
 
 def known(species: Species) -> str:
@@ -277,7 +277,7 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
     own = [*BODY, START]
     if species.traits is not None:
         differ = np.isfinite(species.traits.scale)
-        own += [name for name, column in NATURE.items() if differ[:, column].any()]
+        own += [name for name, column in TRAIT_COLUMNS.items() if differ[:, column].any()]
     named = {
         f"{group}.{what}": (who, what)
         for group, who in groups.items()
@@ -318,8 +318,8 @@ def _choice(what: str, value: str, species: Species, text: str) -> str:
     return value
 
 
-def _of_another_nature(traits: Traits, who: Sequence[int], change: Change) -> Traits:
-    """Traits of training animals, of which those of ``who`` are moved by so many sd."""
+def _shift_traits(traits: Traits, who: Sequence[int], change: Change) -> Traits:
+    """Traits of training animals, of which those of ``who`` are move_starts by so many sd."""
     assert isinstance(change.amount, Amount)
     if change.amount.is_factor or change.amount.unit != "sd":
         raise InputError(
@@ -327,13 +327,13 @@ def _of_another_nature(traits: Traits, who: Sequence[int], change: Change) -> Tr
             "animals, as in +1sd"
         )
     table, alike = traits.table.copy(), traits.table.shape[1]
-    columns = sorted({number % alike for number in who}), NATURE[change.what]
-    moved = table[:, columns[0], columns[1]] + change.amount.value
-    table[:, columns[0], columns[1]] = np.clip(moved, -LARGEST, LARGEST)
+    columns = sorted({number % alike for number in who}), TRAIT_COLUMNS[change.what]
+    move_starts = table[:, columns[0], columns[1]] + change.amount.value
+    table[:, columns[0], columns[1]] = np.clip(move_starts, -LARGEST, LARGEST)
     return replace(traits, table=table)
 
 
-def _with_air(plume: Any, change: Change) -> Any:
+def _change_air(plume: Any, change: Change) -> Any:
     """The model plume with another wind [m/s] or a stronger source."""
     from animarl_envs.worlds.plume.plume import ModelPlume, as_plume
 
@@ -372,7 +372,7 @@ def _amount(value: str, text: str) -> Amount:
     return amount
 
 
-def _written(amount: Amount) -> str:
+def _format_amount(amount: Amount) -> str:
     if not amount.is_factor:
         signed = "+" if amount.unit == "sd" else ""
         return f"{amount.value:{signed}g}{amount.unit}"
@@ -383,10 +383,10 @@ def _check_once(changes: Iterable[Change]) -> None:
     """Refuse two changes of one thing; speed and thrust of an individual are one thing."""
     seen: dict[tuple[str, str], str] = {}
     changes = list(changes)
-    gone = {who for change in changes if change.what == REMOVE for who in change.who}
+    gone = {who for change in changes if change.what == REMOVE for who in change.individuals}
     for change in changes:
         what = "thrust" if change.what == "speed" else change.what
-        for who in change.who or ("",):
+        for who in change.individuals or ("",):
             if who in gone and what in BODY:
                 raise InputError(f"{change.text!r} changes {who}, who is removed: leave one out")
             if (who, what) in seen:

@@ -20,7 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.whatif.absent import ASIDE, BEYOND, can_remove, farthest_pursuer
+from animarl_algos.whatif.absent import (
+    ANGLE_OF_REMOVED,
+    DISTANCE_FACTOR_OF_REMOVED,
+    can_remove,
+    farthest_pursuer,
+)
 from animarl_algos.whatif.answer import TrainedRun, quantities_of
 from animarl_algos.whatif.extrapolation import InputRange
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -102,12 +107,12 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         "free": is_free(species.roles),
         "absent": {
             "farthest": farthest_pursuer(run.demos.select(split="train")),
-            "beyond": BEYOND,
-            "aside": ASIDE,
+            "beyond": DISTANCE_FACTOR_OF_REMOVED,
+            "aside": ANGLE_OF_REMOVED,
         }
         if can_remove(species)
         else None,
-        "told": run.told_condition,
+        "told": run.has_condition_flag,
         "locomotion": [{"damping": m.damping, "thrust": m.thrust} for m in species.locomotion],
         "pushes": [m.action_vectors.tolist() for m in species.locomotion],
         "components": len(observation_components(species)),

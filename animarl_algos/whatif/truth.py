@@ -19,7 +19,7 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.whatif.changes import Scenario
+from animarl_algos.whatif.changes import ChangedWorld
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
@@ -44,10 +44,10 @@ class Truth(Protocol):
     description: str
     paired: bool
 
-    def check(self, scenario: Scenario) -> None:
+    def check(self, scenario: ChangedWorld) -> None:
         """Raise InputError if the truth of a change is not known."""
 
-    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
         """Return true episodes in the unchanged and in the changed world."""
 
 
@@ -77,7 +77,7 @@ class RecordedConditions:
         self.demos = run.demos.select(split="test")
         self.conditions = run.scenario.species.conditions
 
-    def check(self, scenario: Scenario) -> None:
+    def check(self, scenario: ChangedWorld) -> None:
         """Raise InputError unless the condition alone is changed to one that was recorded."""
         if scenario.condition is None or len(scenario.changes) > 1:
             raise InputError(
@@ -90,7 +90,7 @@ class RecordedConditions:
                 "deal the splits so that test has both conditions"
             )
 
-    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
         """Return the recordings of the other condition and of the one that is asked for."""
         recorded = Rollouts.from_demonstrations(self.demos)
         changed = recorded.condition == self.conditions.index(str(scenario.condition))
@@ -129,7 +129,7 @@ class TeamTruth:
             species, locomotion=first.locomotion, observation=first.observation
         )
 
-    def check(self, scenario: Scenario) -> None:
+    def check(self, scenario: ChangedWorld) -> None:
         """Raise InputError for a wanted speed or an individual that is removed."""
         if scenario.speeds or scenario.removed:
             raise InputError(
@@ -137,18 +137,18 @@ class TeamTruth:
                 "conditions: change these, or leave --truth out"
             )
 
-    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
         """Return what the teams do in both worlds."""
         return self._unchanged, self._simulate(scenario, reading)
 
     @cached_property
     def _unchanged(self) -> Rollouts:
-        return self._simulate(Scenario(()), "habit")
+        return self._simulate(ChangedWorld(()), "habit")
 
-    def _simulate(self, scenario: Scenario, reading: Reading) -> Rollouts:
+    def _simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
         options = scenario.options(self.species, self.unit)
         species = change_world(self.species, reading, **options)
-        starts, asked, parts = scenario.moved(self.test, species), scenario.condition, []
+        starts, asked, parts = scenario.move_starts(self.test, species), scenario.condition, []
         for condition in np.unique(self.test.condition).tolist():
             own = np.flatnonzero(self.test.condition == condition)
             world = make_scenario(species, demos=starts.select(episodes=own), split=None)

@@ -111,7 +111,7 @@ def recorded_steps(run: Run, removed: tuple[str, ...]) -> dict[str, Any]:
     state, starts = None, np.ones(COPIES * K, dtype=bool)
     for _ in range(STEPS):
         seen = world.observation[:, source].reshape(COPIES * K, -1)
-        if run.told_condition:
+        if run.has_condition_flag:
             flag = np.repeat(world.condition, K)[:, None].astype(seen.dtype)
             seen = np.concatenate([seen, flag], axis=1)
         values, hidden, _ = policy.advance(seen, state, starts)

@@ -15,7 +15,7 @@ from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.answer_page import answer_page, words
-from animarl_algos.whatif.changes import Scenario
+from animarl_algos.whatif.changes import ChangedWorld
 from animarl_algos.whatif.truth import TeamTruth, find_truth, mean_by_start, subtract
 from animarl_envs.species.base import Reading
 
@@ -34,9 +34,9 @@ class Planted:
         test = run.demos.select(split="test")
         self.paired, self.recorded = paired, Rollouts.from_demonstrations(test)
 
-    def check(self, scenario: Scenario) -> None: ...
+    def check(self, scenario: ChangedWorld) -> None: ...
 
-    def roll_out(self, scenario: Scenario, reading: Reading) -> tuple[Rollouts, Rollouts]:
+    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
         return self.recorded, replace(self.recorded, positions=self.recorded.positions / 2)
 
 
@@ -75,7 +75,7 @@ def test_teams_act_in_the_changed_world_and_under_the_other_condition(chase: Run
     assert (same.table[["true", "true_low", "true_high"]] == 0).all(axis=None)
     assert faster.table.set_index("quantity").loc["duration", "true_low"] > 0
     assert cue.true is not None
-    usual = truth.roll_out(Scenario(()), "habit")[0]
+    usual = truth.roll_out(ChangedWorld(()), "habit")[0]
     seconds = [
         mean_by_start(made, (made.lengths - 1) * made.dt, len(truth.test))
         for made in (cue.true, usual)

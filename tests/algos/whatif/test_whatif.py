@@ -20,7 +20,7 @@ from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
 from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.answer_page import answer_page, findings, words
-from animarl_algos.whatif.changes import Scenario, parse_change, parse_scenarios
+from animarl_algos.whatif.changes import ChangedWorld, parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import (
     InputRange,
     WatchedPolicy,
@@ -244,7 +244,7 @@ def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: Run)
 
 def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: Run) -> None:
     class Untold:
-        scenario, demos, told_condition = chase.scenario, chase.demos, False
+        scenario, demos, has_condition_flag = chase.scenario, chase.demos, False
 
     with pytest.raises(InputError, match="never told the condition"):
         ask([Untold()], ["condition=shared"], repetitions=1)  # type: ignore[list-item]
@@ -572,7 +572,7 @@ def test_simulators_of_others_can_enter(monkeypatch: pytest.MonkeyPatch) -> None
 def test_the_truth_in_the_unchanged_world_is_like_the_recordings(name: str) -> None:
     run = load_run(name)
     test = run.demos.select(split="test")
-    made, _ = truth_of(run, None, 4).roll_out(Scenario(()), "habit")
+    made, _ = truth_of(run, None, 4).roll_out(ChangedWorld(()), "habit")
     assert set(made.demo) == set(range(len(test)))
     seconds = (test.lengths - 1).mean() * run.demos.dt
     assert (made.lengths - 1).mean() * made.dt == pytest.approx(seconds, rel=0.55)
