@@ -566,7 +566,7 @@ class Run:
 
     @property
     def has_condition_flag(self) -> bool:
-        """Whether the policy was told the condition in training, and so can be told another."""
+        """Whether the policy has a condition flag among its inputs."""
         return self.policy.layout.condition_flag
 
     def what_if(self, *changes: str, **options: Any) -> WhatIf:

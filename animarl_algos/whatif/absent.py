@@ -1,9 +1,9 @@
-"""Pursuers that are taken away: the world without them, as policies see it that learned with them.
+"""Removed pursuers: the world without them, as policies perceive it that learned with them.
 
-A trained network has inputs for each of the others. The absent one is shown to it far away: beyond
-the pursuer that is nearest to the target, farther from the target than 95 % of the pursuers in
-training, moving as that pursuer does. So nobody is driven anywhere by somebody who is not there,
-and the inputs stay near the training range; how near, the warning says.
+A trained network has inputs for each of the others. It perceives a removed pursuer far away: beyond
+the pursuer nearest to the target, farther from the target than 95 % of the pursuers in training,
+and moving as the nearest does. So a removed pursuer drives nobody, and the inputs stay near the
+training range. The warning says how near.
 """
 
 from __future__ import annotations
@@ -33,31 +33,29 @@ from animarl_envs.worlds.chase.neighbours import neighbours_of
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 DISTANCE_QUANTILE = 0.95  # quantile of the distances of pursuers from the target in training
-DISTANCE_FACTOR_OF_REMOVED = (
-    1.05  # times the distance of the nearest: at its own distance rounding would order the two
-)
-ANGLE_OF_REMOVED = np.deg2rad(
-    20.0
-)  # exactly behind somebody nobody ever was: that alone would be new
+# Times the distance of the nearest pursuer: at the same distance, rounding would order the two.
+DISTANCE_FACTOR_OF_REMOVED = 1.05
+# From the nearest pursuer: training has nobody exactly behind another, and that alone would be new.
+ANGLE_OF_REMOVED = np.deg2rad(20.0)
 observe_all = jit(getattr(senses.observe, "py_func", senses.observe))  # a part, called from Python
 
 
 @dataclass(frozen=True)
 class Present:
-    """Who of the individuals of a species is there.
-
-    Raises
-    ------
-    InputError
-        If somebody is taken away who is no pursuer of a target, or the last one.
-    """
+    """The individuals of a species that are left (``own``) among ``everybody``."""
 
     everybody: ChaseSpecies
     own: tuple[int, ...]
 
     @classmethod
     def without(cls, species: Species, absent: Sequence[str]) -> Present:
-        """Return those who are left."""
+        """Return those that are left when some are removed.
+
+        Raises
+        ------
+        InputError
+            If one that is removed is not a pursuer of a single target, or no pursuer is left.
+        """
         names = species.individuals
         pursuers = [n for n, role in zip(names, species.roles, strict=True) if role == "pursuer"]
         left = [name for name in pursuers if name not in absent]
@@ -75,7 +73,7 @@ class Present:
 
     @property
     def species(self) -> ChaseSpecies:
-        """The species of those who are left."""
+        """Species of the individuals that are left."""
         return self.everybody.of_individuals(self.own)
 
 
@@ -103,7 +101,7 @@ def simulate_from(
 ) -> Rollouts:
     """Return rollouts as :meth:`animarl_algos.runs.run.Run.simulate` does, from other starts.
 
-    ``demos`` have the starts, ``absent`` are taken away.
+    ``demos`` have the starts; the individuals ``absent`` are removed.
     """
     species, make, act = change_world(run.scenario.species, reading, **options), None, wrap
     if absent:
@@ -130,22 +128,22 @@ def simulate_from(
 
 
 def farthest_pursuer(demos: Demonstrations) -> float:
-    """Return from how far on pursuers count as far from the target [arena unit]."""
+    """Return the distance from the target that counts as far for pursuers [arena unit]."""
     apart = np.linalg.norm(demos.positions[:, :-1] - demos.positions[:, -1:], axis=-1)
     return float(np.quantile(apart, DISTANCE_QUANTILE))
 
 
 class FewerWorld(ChaseWorld):
-    """A chase of those who are left; observations are those of everybody's policies.
+    """A chase of the individuals that are left; observations have inputs for all.
 
     Parameters
     ----------
     scenario
-        Of those who are left.
+        Of the individuals that are left.
     present
-        Who they are among everybody.
+        Which ones these are.
     farthest
-        Where the absent are shown: so far from the target [arena unit].
+        Least distance from the target at which removed ones are perceived [arena unit].
     """
 
     def __init__(
@@ -175,7 +173,7 @@ class FewerWorld(ChaseWorld):
         self._show()
 
     def _show(self) -> None:
-        """Make the observations of those who are left, with the absent far away."""
+        """Make the observations of those that are left, with the removed ones far away."""
         nearest, place = self._place_of_absent()
         copies = np.arange(self.num_copies)
         position, velocity, acceleration = (
@@ -193,22 +191,17 @@ class FewerWorld(ChaseWorld):
         self.observation = np.ascontiguousarray(self._shown[self._own].transpose(2, 0, 1))
 
     def _place_of_absent(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The pursuer nearest to the target in each copy, and the place beyond it ``(B, 2)``."""
+        """Return the pursuer nearest to the target in each copy, and the place beyond it."""
         target = self._position[-1]
         away = self._position[:-1] - target
         apart = np.linalg.norm(away, axis=1)
         nearest, copies = apart.argmin(axis=0), np.arange(self.num_copies)
         ahead, length = away[nearest, :, copies], apart[nearest, copies][:, None]
         direction = np.where(length > 0, ahead / np.maximum(length, 1e-12), FALLBACK)
-        turn = np.array(
-            [
-                [np.cos(ANGLE_OF_REMOVED), np.sin(ANGLE_OF_REMOVED)],
-                [-np.sin(ANGLE_OF_REMOVED), np.cos(ANGLE_OF_REMOVED)],
-            ]
-        )
-        return nearest, target.T + direction @ turn * np.maximum(
-            DISTANCE_FACTOR_OF_REMOVED * length, self._farthest
-        )
+        cosine, sine = np.cos(ANGLE_OF_REMOVED), np.sin(ANGLE_OF_REMOVED)
+        turn = np.array([[cosine, sine], [-sine, cosine]])
+        distance = np.maximum(DISTANCE_FACTOR_OF_REMOVED * length, self._farthest)
+        return nearest, target.T + direction @ turn * distance
 
     def _with_absent(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = np.zeros((len(self._shown), *own.shape[1:]))
@@ -217,9 +210,9 @@ class FewerWorld(ChaseWorld):
 
 
 class SubsetPolicy(WrappedPolicy):
-    """A policy of everybody that is asked for those who are left.
+    """A policy for all individuals, asked for those that are left.
 
-    The absent draw actions too, so that the random numbers of the others stay what they were.
+    Removed ones still draw actions, so that the others' random streams do not shift.
     """
 
     def __init__(self, policy: Policy, present: Present) -> None:
@@ -236,7 +229,7 @@ class SubsetPolicy(WrappedPolicy):
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, **known: Any
     ) -> tuple[Any, Any]:
-        """Return the actions of those who are left, and everybody's state."""
+        """Return the actions of those that are left, and the state of all."""
         started = self._for_all(episode_start)
         actions, state = self.policy.predict(self._for_all(observation), state, started, **known)
         return np.asarray(actions).reshape(-1, len(self.source))[:, self.own].ravel(), state

@@ -65,7 +65,7 @@ class TrainedRun(Protocol):
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is asked of every episode."""
+    """A number of each episode, ``(episodes,)``."""
 
     name: str
     unit: str
@@ -74,7 +74,7 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What one scenario gives.
+    """The answer to one scenario.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ class Answer:
     warning
         ``none``, ``some`` or ``red``.
     reason
-        In words, why to distrust the answer; empty where nothing speaks against it.
+        Why to distrust the answer, in words; empty without a warning.
     thrusts
-        Factors on thrusts that wanted speeds took, by individual.
+        Factors on thrusts with which wanted speeds were achieved, by individual.
     rollouts
-        In the changed world, all runs.
+        In the changed world, of all runs.
     species
         The changed world.
     true
@@ -160,7 +160,7 @@ def ask(
     on_baseline: Callable[[pd.DataFrame], None] | None = None,
     on_answer: Callable[[Answer], None] | None = None,
 ) -> WhatIf:
-    """Ask trained runs what would happen if.
+    """Simulate trained runs in changed worlds, and compare each with the unchanged world.
 
     Parameters
     ----------
@@ -184,10 +184,10 @@ def ask(
         What made the recordings (:func:`animarl_algos.whatif.truth.find_truth`): its shift stands
         beside the predicted one.
     on_baseline
-        Is told first how far the unchanged simulation is from the recordings; columns
+        Called first with how far the unchanged simulation is from the recordings; columns
         ``quantity, unit, recorded, baseline, gap``.
     on_answer
-        Is told of each answer as it is ready.
+        Called with each answer when it is ready.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def ask(
 
 
 def _check(scenario: ChangedWorld, run: TrainedRun, unit: Unit) -> None:
-    """Refuse what cannot be made before anything is simulated."""
+    """Refuse a change that cannot be made, before anything is simulated."""
     species = change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
     scenario.move_starts(run.demos.select(split="test"), species)
     if scenario.removed:
@@ -246,8 +246,8 @@ def _check(scenario: ChangedWorld, run: TrainedRun, unit: Unit) -> None:
         return
     if not sensed and not run.has_condition_flag:
         raise InputError(
-            "the policies of this run were never told the condition, so they cannot be told "
-            "another: train a run on recordings of both conditions"
+            "the policies of this run have no input for the condition, so it cannot be changed: "
+            "train a run on recordings of both conditions"
         )
     starts = run.demos.select(split="test").condition
     if (starts == species.conditions.index(scenario.condition)).all():
@@ -258,7 +258,7 @@ def _check(scenario: ChangedWorld, run: TrainedRun, unit: Unit) -> None:
 
 
 class _Comparison:
-    """Simulates baseline and scenarios once each, and compares them."""
+    """Simulates the unchanged world and each scenario once, and compares them."""
 
     def __init__(
         self, runs: Sequence[TrainedRun], unit: Unit, repetitions: int, reading: Reading, seed: int
@@ -323,7 +323,10 @@ class _Comparison:
         reading: Reading,
         repetitions: int | None = None,
     ) -> tuple[Rollouts, Floats, Floats]:
-        """Rollouts of all runs, and shares of inputs beyond their range; NaN of the absent."""
+        """Return rollouts of all runs, and shares of inputs beyond their range.
+
+        Shares are NaN for removed individuals.
+        """
         parts: list[Rollouts] = []
         names = self.species.individuals
         moved = scenario.move_starts(self.test, change_world(self.species, **options))
@@ -393,7 +396,7 @@ class _Comparison:
         other: Rollouts | None,
         true: tuple[Rollouts, Rollouts] | None = None,
     ) -> Iterator[dict[str, Any]]:
-        """One row per quantity."""
+        """Yield one row per quantity."""
         covers = "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
         counts = np.ones(len(changed), dtype=bool)
         if scenario.condition is not None:
@@ -403,7 +406,7 @@ class _Comparison:
         shown = np.unique(changed.demo[counts])
         measures = {q.name: q for q in quantities_of(changed, self.unit)}
         for quantity in self.quantities:
-            if quantity.name not in measures:  # of somebody who is gone
+            if quantity.name not in measures:  # of a removed individual
                 continue
             measure = measures[quantity.name].values
             before, after = quantity.values(self.baseline), measure(changed)
@@ -486,7 +489,7 @@ class _Comparison:
         )
 
     def _warning(self, more: Floats, inputs: Floats, table: pd.DataFrame) -> tuple[str, str]:
-        """How far to trust an answer, in a word and in a sentence."""
+        """Return the warning, and the reason for it."""
         worst = int(np.nanargmax(more))
         reasons, word = [], Caution.NONE
         if more[worst] > YELLOW:
@@ -515,14 +518,14 @@ def _next_factor(tried: Sequence[tuple[float, float]], wanted: float) -> float:
 
 
 def _speeds(rollouts: Rollouts) -> dict[str, float]:
-    """Mean speed of each individual, every episode weighing alike [arena unit / s]."""
+    """Return the mean speed of each individual over episodes [arena unit / s]."""
     seconds = np.maximum(rollouts.lengths - 1, 1) * rollouts.dt
     speeds = (path_lengths(rollouts) / seconds[:, None]).mean(axis=0)
     return dict(zip(rollouts.individuals, speeds.tolist(), strict=True))
 
 
 def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
-    """Yield what is asked of every answer: outcome, duration, paths, distance, speeds."""
+    """Yield the quantities of an answer: outcome, duration, paths, distance, speeds."""
     scale, name = unit.per_arena_unit, unit.name
 
     def seconds(rollouts: Rollouts) -> Floats:

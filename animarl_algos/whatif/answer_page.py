@@ -70,7 +70,7 @@ def save_answers(
 
 
 def what_it_is(found: WhatIf) -> str:
-    """Return what an answer is, and what its interval covers."""
+    """Return what kind of answer it is, and what its interval covers."""
     table = found.table
     null = ""
     if table["p"].notna().any():
@@ -81,7 +81,7 @@ def what_it_is(found: WhatIf) -> str:
 
 
 def cut_note(found: WhatIf) -> str:
-    """Return how far the gap looks where recordings were cut; empty where none was."""
+    """Return how the gap treats recordings that were cut; empty if none was."""
     cut = found.baseline.lengths.sum() > censored(found.baseline, found.demos).lengths.sum()
     return CUT if cut else ""
 
@@ -100,7 +100,7 @@ def words(found: WhatIf) -> str:
 
 
 def asides(answer: Answer) -> Iterator[str]:
-    """Yield in sentences what thrusts a wanted speed took, and the warning."""
+    """Yield sentences with the thrusts of wanted speeds, and with the warning."""
     if answer.thrusts:
         took = ", ".join(f"{name} x{factor:.3g}" for name, factor in answer.thrusts.items())
         yield f"Thrusts that the speeds took: {took}."
@@ -114,7 +114,7 @@ def findings(answer: Answer) -> list[str]:
     if answer.warning == Caution.RED:
         return [GUESS]
     if (table["judged"] == NO_INTERVAL).all():
-        return [f"{capitalised(NO_INTERVAL)}, so no shift can be told from chance."]
+        return [f"{capitalised(NO_INTERVAL)}, so no shift can be distinguished from chance."]
     found = []
     for _, row in table[table["finding"]].iterrows():
         size, *ends = (abs(_factor(row) * row[key]) for key in ("shift", "low", "high"))
@@ -194,7 +194,7 @@ def _in_short(found: WhatIf) -> Iterator[page.Block]:
 
 
 def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") -> page.Table:
-    """Return one row per quantity of each answer, what is no finding faint."""
+    """Return a table of one row per quantity of each answer; rows without a finding are faint."""
     return page.tabulate(
         "Shifts",
         {
@@ -223,14 +223,14 @@ def unchanged_table(table: pd.DataFrame) -> page.Table:
 def _means(recorded: str) -> dict[str, Callable[[pd.Series], str]]:
     """Columns of a quantity without any change."""
 
-    def told(key: str) -> Callable[[pd.Series], str]:
+    def format_mean(key: str) -> Callable[[pd.Series], str]:
         return lambda row: number(_factor(row) * row[key])
 
     return {
         "Quantity": lambda row: f"{row['quantity']} ({'%' if _factor(row) > 1 else row['unit']})",
-        capitalised(recorded): told("recorded"),
-        capitalised(UNCHANGED): told("baseline"),
-        f"Gap: {UNCHANGED}\n{MINUS} {recorded}": told("gap"),
+        capitalised(recorded): format_mean("recorded"),
+        capitalised(UNCHANGED): format_mean("baseline"),
+        f"Gap: {UNCHANGED}\n{MINUS} {recorded}": format_mean("gap"),
     }
 
 
@@ -297,7 +297,7 @@ def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
 
 
 def _doses(found: WhatIf) -> tuple[str, list[float]] | None:
-    """What a sweep changes, and by how much; nothing if one change is not asked at 3 doses."""
+    """Return what a sweep changes and its doses; None unless one change has 3 doses or more."""
     doses: list[float] = []
     subjects = set()
     for answer in found.answers:

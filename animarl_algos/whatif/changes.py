@@ -100,22 +100,17 @@ class ChangedWorld:
 
     @property
     def condition(self) -> str | None:
-        """The condition that policies are told, by name."""
+        """Name of the condition, if it is changed."""
         named = (str(change.amount) for change in self.changes if change.what == CONDITION)
         return next(named, None)
 
     @property
     def removed(self) -> tuple[str, ...]:
-        """Individuals that are taken away."""
+        """Individuals that are removed."""
         return tuple(who for one in self.changes if one.what == REMOVE for who in one.individuals)
 
-    @property
-    def starts(self) -> bool:
-        """Whether somebody starts elsewhere."""
-        return any(change.what == START for change in self.changes)
-
     def move_starts(self, demos: Demonstrations, species: Species) -> Demonstrations:
-        """Return the recordings with the starts that are asked for, at rest.
+        """Return the recordings with the changed starts, at rest.
 
         Raises
         ------
@@ -144,12 +139,12 @@ class ChangedWorld:
     def options(
         self, species: Species, unit: Unit, thrusts: Mapping[str, float] | None = None
     ) -> dict[str, Any]:
-        """Return options of the species for everything but the condition.
+        """Return the options of the species for all changes but condition and removal.
 
         Parameters
         ----------
         thrusts
-            Factors on thrusts that were found for wanted speeds, by individual.
+            Factors on thrusts with which wanted speeds are achieved, by individual.
         """
         lengths = {unit.name: 1.0 / unit.per_arena_unit}
         bodies = dict(zip(species.individuals, species.locomotion, strict=True))
@@ -204,7 +199,7 @@ def parse_scenarios(
         Each ``NAME=VALUE``. All hold together; a sweep (``prey.speed=-20%..+20%/5``) makes as many
         scenarios as it has points, several sweeps all their combinations.
     species
-        Knows the names.
+        Of the run.
     separately
         Whether every text is a question of its own.
 
@@ -264,7 +259,7 @@ def known(species: Species) -> str:
 
 
 def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
-    """Return all names of what can be changed, with whom and what each means.
+    """Return all names of what can be changed, with the individuals and the field of each.
 
     Individuals go by name, by kind (``predators``) and by role (``pursuers``); traits can be
     changed where training animals differed in them.
@@ -295,7 +290,7 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
 
 
 def _place(value: str, unit: Unit, text: str) -> NDArray[np.float64] | None:
-    """A place [arena unit]; nothing where places are drawn at random."""
+    """Return a place [arena unit]; None for places that are drawn at random."""
     if value == UNIFORM:
         return None
     found = PLACE.fullmatch(value)
@@ -309,7 +304,7 @@ def _place(value: str, unit: Unit, text: str) -> NDArray[np.float64] | None:
 
 
 def _choice(what: str, value: str, species: Species, text: str) -> str:
-    """A condition, a plume or an individual by its name, or a start."""
+    """Check the name of a condition, a plume or an individual, or a start, and return it."""
     if what == START and value == UNIFORM and not isinstance(species, ChaseSpecies):
         raise InputError(f"{text!r}: starts of {species.name} are not drawn: give a place x,y")
     names = {REMOVE: species.individuals, CONDITION: species.conditions, PLUME: PLUMES}.get(what)
@@ -318,8 +313,8 @@ def _choice(what: str, value: str, species: Species, text: str) -> str:
     return value
 
 
-def _shift_traits(traits: Traits, who: Sequence[int], change: Change) -> Traits:
-    """Traits of training animals, of which those of ``who`` are move_starts by so many sd."""
+def _shift_traits(traits: Traits, individuals: Sequence[int], change: Change) -> Traits:
+    """Return traits of training animals, shifted for some individuals by a number of sd."""
     assert isinstance(change.amount, Amount)
     if change.amount.is_factor or change.amount.unit != "sd":
         raise InputError(
@@ -327,14 +322,14 @@ def _shift_traits(traits: Traits, who: Sequence[int], change: Change) -> Traits:
             "animals, as in +1sd"
         )
     table, alike = traits.table.copy(), traits.table.shape[1]
-    columns = sorted({number % alike for number in who}), TRAIT_COLUMNS[change.what]
-    move_starts = table[:, columns[0], columns[1]] + change.amount.value
-    table[:, columns[0], columns[1]] = np.clip(move_starts, -LARGEST, LARGEST)
+    rows, column = sorted({i % alike for i in individuals}), TRAIT_COLUMNS[change.what]
+    shifted = table[:, rows, column] + change.amount.value
+    table[:, rows, column] = np.clip(shifted, -LARGEST, LARGEST)
     return replace(traits, table=table)
 
 
 def _change_air(plume: Any, change: Change) -> Any:
-    """The model plume with another wind [m/s] or a stronger source."""
+    """Return the model plume with another wind [m/s] or a stronger source."""
     from animarl_envs.worlds.plume.plume import ModelPlume, as_plume
 
     plume = as_plume(plume)

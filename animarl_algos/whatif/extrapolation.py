@@ -1,4 +1,4 @@
-"""How far what policies see leaves what they were trained on.
+"""How far the inputs of policies leave the range of training.
 
 The share of an individual's steps with any input beyond the central 99.8 % of its training inputs
 separates wrong from right predictions with an AUC of .86 over 61 changes with a known truth. It
@@ -45,7 +45,7 @@ def describe_departures(component: ObservationComponent) -> tuple[str, str]:
 def others_in_order(species: Species, individual: int) -> list[str]:
     """Return the others in the order in which an individual perceives them.
 
-    The last individual, whom all others face, comes first; the many are told by their distance.
+    The last individual, which all others face, comes first; several others are ordered by distance.
     """
     names = species.individuals
     faced = not is_free(species.roles) and individual < len(names) - 1
@@ -58,7 +58,7 @@ def others_in_order(species: Species, individual: int) -> list[str]:
 
 
 class Caution(StrEnum):
-    """How far an answer is from what policies were trained on."""
+    """Warning of an answer whose inputs leave the range of training."""
 
     NONE = "none"
     SOME = "some"
@@ -74,9 +74,10 @@ class InputRange:
     low, high
         ``(individuals, components)`` each.
     words
-        What every component below its range means, and then above it (:func:`describe_departures`).
+        Description of every component below its range, and then above it
+        (:func:`describe_departures`).
     others
-        Of each individual, as its words name them.
+        Names of the others in the words of each individual.
     """
 
     low: Floats

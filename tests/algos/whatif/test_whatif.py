@@ -246,7 +246,7 @@ def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: 
     class Untold:
         scenario, demos, has_condition_flag = chase.scenario, chase.demos, False
 
-    with pytest.raises(InputError, match="never told the condition"):
+    with pytest.raises(InputError, match="no input for the condition"):
         ask([Untold()], ["condition=shared"], repetitions=1)  # type: ignore[list-item]
 
 
