@@ -37,7 +37,7 @@ from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.words import with_interval
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.pipeline import permuted_runs
+from animarl_algos.runs.permuted import permuted_runs
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings

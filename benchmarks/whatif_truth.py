@@ -57,7 +57,7 @@ from animarl_algos.benchmark.methods import (
 )
 from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.runs.pipeline import permuted_runs
+from animarl_algos.runs.permuted import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
 from animarl_algos.whatif.answer import Answer, ask, quantities_of

@@ -223,7 +223,7 @@ def whatif_command(
             raise InputError(
                 "--permutations is the null of a condition and none is changed: leave it out"
             )
-        from animarl_algos.runs.pipeline import permuted_runs
+        from animarl_algos.runs.permuted import permuted_runs
 
         for scenario in parse_scenarios(change, loaded[0].scenario.species, separately=separately):
             if known is not None:  # before anything is trained

@@ -178,7 +178,7 @@ def ask(
         Of the resamples.
     permuted
         Runs of the same learner that were trained with the conditions of their recordings permuted
-        (:func:`animarl_algos.runs.pipeline.permuted_runs`). Their shifts are the null of a
+        (:func:`animarl_algos.runs.permuted.permuted_runs`). Their shifts are the null of a
         cue: they say how far it moves by the choice of training recordings alone.
     truth
         What made the recordings (:func:`animarl_algos.whatif.truth.find_truth`): its shift stands

@@ -15,7 +15,7 @@ from recordings import cut_short
 from refusals import refuses
 
 from animarl_algos import load_run
-from animarl_algos.runs.pipeline import permute_conditions, permuted_runs
+from animarl_algos.runs.permuted import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
 from animarl_algos.whatif.answer import ask
