@@ -1,9 +1,9 @@
 """AnimaRL environments: recorded animals as a Gymnasium environment suite.
 
-Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0``,
-``AnimaRL/Silkmoth-v0``, ``AnimaRL/Solo-v0``, ``AnimaRL/Shoal-v0`` and, for your own demonstrations,
-``AnimaRL/Custom-v0`` with Gymnasium, and ``AnimaRL/SilkmothMemory-v0``, whose moth senses nothing
-but the odour;
+Importing this package registers the animals' worlds with Gymnasium: ``AnimaRL/Agent-v0``,
+``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0``, ``AnimaRL/Silkmoth-v0``, ``AnimaRL/Solo-v0``,
+``AnimaRL/Shoal-v0`` and, for your own demonstrations, ``AnimaRL/Custom-v0``. It also registers the
+tasks for reinforcement learning, such as ``AnimaRL/FlyTask-v0`` (:mod:`animarl_envs.tasks`);
 ``parallel_env("agent")`` is the same world with all individuals acting, as a PettingZoo
 environment, which is registered there too: ``pettingzoo.make("parallel", "AnimaRL/Agent-v0")``.
 """
@@ -18,14 +18,8 @@ import gymnasium as gym
 import pettingzoo
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.species import (
-    CUSTOM,
-    SPECIES,
-    VARIANTS,
-    Species,
-    resolve_variant,
-    species_name,
-)
+from animarl_envs.species import CUSTOM, SPECIES, Species, species_name
+from animarl_envs.tasks import TASKS
 
 if TYPE_CHECKING:
     from animarl_envs.views import AnimalParallelEnv
@@ -35,16 +29,15 @@ __all__ = ["SPECIES", "InputError", "MissingExtraError", "environment_id", "para
 
 
 def environment_id(species: str) -> str:
-    """The id of a species, such as ``AnimaRL/Agent-v0``, by its name or the id itself."""
-    name, variants = species_name(species), {name.lower(): name for name in VARIANTS}
-    return f"AnimaRL/{variants.get(name, name.capitalize())}-v0"
+    """Return the id of a species or a task, such as ``AnimaRL/Agent-v0``, by its name or id."""
+    name, tasks = species_name(species), {name.lower(): name for name in TASKS}
+    return f"AnimaRL/{tasks.get(name, name.capitalize())}-v0"
 
 
 def parallel_env(species: Species | str, **options: Any) -> AnimalParallelEnv:
-    """All individuals of a species, or of ``"custom"`` demonstrations, as a ``ParallelEnv``."""
+    """Return all individuals of a species or a task, or of ``"custom"`` demonstrations."""
     from animarl_envs.views import AnimalParallelEnv
 
-    species, options = resolve_variant(species, options)
     return AnimalParallelEnv(species, **options)
 
 
@@ -62,12 +55,10 @@ def __getattr__(name: str) -> Any:
 
 
 def _register() -> None:
-    ids = {environment_id(name): {"species": name} for name in (*SPECIES, CUSTOM)}
-    for name, (species, own) in VARIANTS.items():
-        ids[environment_id(name)] = {"species": species, **own}
-    for name, options in ids.items():
+    for name in (*SPECIES, CUSTOM, *TASKS):
+        env_id, options = environment_id(name), {"species": name}
         gym.register(
-            id=name,
+            id=env_id,
             entry_point="animarl_envs.views.single:AnimalEnv",
             vector_entry_point="animarl_envs.views.vector:AnimalVectorEnv",
             kwargs=options,
@@ -75,7 +66,7 @@ def _register() -> None:
         if hasattr(pettingzoo, "register"):  # from version 1.27 on
             pettingzoo.register(
                 "parallel",
-                id=name,
+                id=env_id,
                 entry_point="animarl_envs.views.parallel:AnimalParallelEnv",
                 kwargs=options,
             )

@@ -180,7 +180,7 @@ class DTWTracker:
         if demos is None:
             raise InputError(
                 "the DTW reward compares with demonstrations, but episodes start without any: make "
-                "the environment with recorded=True, or give it demos="
+                "the environment with start='demo', or give it demos="
             )
         self.kind, self.scale = kind, scale
         self.individuals = np.asarray(individuals, dtype=np.int64)

@@ -25,6 +25,7 @@ from animarl_envs.species import (
     species_name,
 )
 from animarl_envs.species.options import with_options
+from animarl_envs.tasks import find_task
 
 Condition = Literal[0, 1, "demo"]
 Demos = Demonstrations | str | Path | None
@@ -58,6 +59,8 @@ class Scenario:
         Age of the observation that is handed out [steps].
     split
         Which split the demonstrations are, for the record.
+    all_splits
+        The demonstrations before the split was selected.
     """
 
     species: Species
@@ -68,6 +71,7 @@ class Scenario:
     observation_noise: ZeroOrPositive = 0.0
     observation_delay: ZeroOrMore = 0
     split: str | None = None
+    all_splits: Demonstrations | None = None
 
     def __post_init__(self) -> None:
         names, demos = self.species.individuals, self.demos
@@ -156,7 +160,8 @@ def make_scenario(
     Parameters
     ----------
     species
-        A spec or its name; ``"custom"``: made from the demonstrations, by
+        A spec, or the name or id of one or of a task (:mod:`animarl_envs.tasks`); ``"custom"``:
+        made from the demonstrations, by
         :func:`animarl_envs.fitting.custom_species.species_of`.
     demos
         ``"packaged"``, a file, a :class:`Demonstrations` or ``None``.
@@ -176,6 +181,9 @@ def make_scenario(
     InputError
         If an option is not valid, or the demonstrations do not fit the species.
     """
+    task = find_task(species)
+    if task is not None:
+        species, start = task.species, task.start if start is None else start
     given = None if isinstance(species, str) and species_name(species) == CUSTOM else species
     spec = get_species(given) if isinstance(given, str) else given
     loaded = _load_demos(demos, spec)
@@ -198,8 +206,6 @@ def make_scenario(
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
         spec = _recorded_species(loaded, options)
-    if loaded is not None and split is not None:
-        loaded = loaded.select(split=split)
     if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
         options.setdefault("dt", loaded.dt)
         options.setdefault("individuals", loaded.individuals)
@@ -211,6 +217,9 @@ def make_scenario(
         spec = with_options(spec, **options)
     if loaded is not None and isinstance(spec, ChaseSpecies) and spec.free:
         loaded = loaded if loaded.focus_rule == spec.focus else loaded.with_focus(spec.focus)
+    selected = loaded
+    if loaded is not None and split is not None:
+        selected = loaded.select(split=split)
     if start is None:
         start = "uniform" if loaded is None else "demo"
     drivers = dict(drivers or {})
@@ -222,7 +231,8 @@ def make_scenario(
         )
     return Scenario(
         species=spec,
-        demos=loaded,
+        demos=selected,
+        all_splits=loaded,
         condition=condition,
         start=start,
         drivers=tuple(drivers.get(name, "action") for name in spec.individuals),

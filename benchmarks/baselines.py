@@ -1,6 +1,6 @@
 """Baselines of a team: all pursuers of a task act, and the target follows its script.
 
-    python benchmarks/baselines.py [--quick] [--task agent ...] [--seed 0 ...] [--out FOLDER]
+    python benchmarks/baselines.py [--quick] [--task AgentTask ...] [--seed 0 ...] [--out FOLDER]
 
 Independent PPO and DQN are stable-baselines3's, one network for all pursuers, who are rows of one
 ``VecEnv``. IPPO, MAPPO and QMIX are BenchMARL's, which learns all pursuers of 64 copies as one
@@ -39,11 +39,11 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from tasks import SHOWN, Rows, SlotsOnly, parsed_arguments, write_table
 
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.species import SPECIES
-from animarl_envs.views.common import task_options, viewed_scenario
+from animarl_envs.scenario import make_scenario
+from animarl_envs.tasks import TASKS as ALL_TASKS
 from animarl_envs.worlds import make_world
 
-TASKS = ("agent", "fly", "newt")
+TASKS = ("AgentTask", "FlyTask", "NewtTask")
 EPISODES, STARTS, SCALING_STARTS = 500, 1_000_000, 3_000_000
 COPIES, ROLLOUT, STEPS = 64, 128, 1_200_000
 GAMMA, WIDTHS = 0.995, [64, 64]
@@ -55,14 +55,14 @@ class Team:
     """Copies of a task's world; observations ``(B, P, n)``, actions and rewards ``(B, P)``."""
 
     def __init__(self, task: str, copies: int, seed: int) -> None:
-        species = SPECIES[task]
+        species = ALL_TASKS[task].base
         shared = {"condition": 1} if getattr(species, "shared_reward", False) else {}
         drivers = {
             name: "scripted"
             for name, role in zip(species.individuals, species.roles)
             if role == "target"
         }
-        scenario = viewed_scenario(task, {**task_options(task, shared), "drivers": drivers})
+        scenario = make_scenario(task, drivers=drivers, **shared)
         self.pursuers = [i for i, role in enumerate(species.roles) if role != "target"]
         self.names = [species.individuals[i] for i in self.pursuers]
         self.world = make_world(scenario, copies, self.pursuers)
@@ -123,13 +123,13 @@ def mean_return(task: str, act: Act, episodes: int) -> float:
 
 def random_row(task: str, episodes: int) -> float:
     """Actions drawn at random."""
-    count, rng = SPECIES[task].num_actions, np.random.default_rng(0)
+    count, rng = ALL_TASKS[task].base.num_actions, np.random.default_rng(0)
     return mean_return(task, lambda seen: rng.integers(count, size=seen.shape[:2]), episodes)
 
 
 def shown_row(task: str) -> float:
     """What the pursuers' packaged episodes would have been paid, the mean over pursuers."""
-    team, demos = Team(task, 1, 0), load_packaged(task).select(split="train")
+    team, demos = Team(task, 1, 0), load_packaged(ALL_TASKS[task].base.name).select(split="train")
     species = team.world.scenario.species
     touched = (demos.outcome > 0).astype(float)
     touched /= 1 if getattr(species, "shared_reward", False) else len(team.pursuers)
@@ -289,7 +289,7 @@ def table(rows: Rows) -> list[tuple[str, ...]]:
             library = LEARNERS[policy][0] if policy in LEARNERS else ""
             score, seeds = f"{(mean - floor) / (top - floor):.2f}", str(len(values))
             listed.append(
-                (task.capitalize(), policy, library, trained[policy], f"{mean:.3f}", spread, score,
+                (task, policy, library, trained[policy], f"{mean:.3f}", spread, score,
                  seeds if library else "")
             )  # fmt: skip
     return listed

@@ -1,6 +1,6 @@
-"""How hard the registered tasks are: what policies earn in ``gym.make("AnimaRL/Agent-v0")`` etc.
+"""How hard the registered tasks are: what policies earn in ``gym.make("AnimaRL/AgentTask-v0")``
 
-    python benchmarks/tasks.py [--quick] [--task Agent ...] [--seed 0 ...] [--out FOLDER]
+    python benchmarks/tasks.py [--quick] [--task AgentTask ...] [--seed 0 ...] [--out FOLDER]
 
 Rows of a task: actions drawn at random; the best of all policies that always take one action; the
 best scripted rule of one number (a pursuer leads the target by a time; straight at it is one of
@@ -48,18 +48,21 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.files import write_then_rename
 from animarl_envs.species import SearchSpecies
+from animarl_envs.tasks import TASKS
 from animarl_envs.views.vector import AnimalVectorEnv
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
-TASKS = ("Agent", "Fly", "Newt", "Silkmoth", "SilkmothMemory")
 EPISODES, STARTS, CHOICE_STARTS = 500, 1_000_000, 2_000_000
 """Episodes of a mean, the seed of their starts, and that of those the constant is chosen by."""
 COPIES, ROLLOUT = 64, 128
 STEPS = {
-    "Agent": 500_000, "Fly": 2_000_000, "Newt": 3_000_000, "Silkmoth": 1_000_000,
+    "AgentTask": 500_000,
+    "FlyTask": 2_000_000,
+    "NewtTask": 3_000_000,
+    "SilkmothTask": 1_000_000,
     "SilkmothMemory": 2_000_000,
-}  # fmt: skip
+}
 """Steps of training, the same for both learners; a fly's by pilots of PPO with seeds 10 to 12."""
 LEADS = (0.0, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
 """Times by which the scripted pursuer leads the target, in those in which its thrust carries it

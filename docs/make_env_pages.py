@@ -30,8 +30,8 @@ from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import COMPACT, SPECIES, TASKS, ChaseSpecies, Species
-from animarl_envs.views.common import TIME_COST, task_options
+from animarl_envs.species import COMPACT, SPECIES, ChaseSpecies, Species
+from animarl_envs.tasks import TASKS
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import ObservationComponent, World
 
@@ -48,8 +48,8 @@ def page(species: Species) -> str:
     parts = [
         f"# {species.title}: `{env_id}`",
         NOTICE,
-        *task(species),
         *paragraphs(title, more),
+        *tasks(species),
         f"![{species.title}](../images/{species.name}.png)",
         *caption(species.name),
         "## Usage",
@@ -60,10 +60,11 @@ def page(species: Species) -> str:
         ACTIONS.format(count=species.num_actions, focus=FOCUS[kind(species)]),
         actions(species),
         "## Observation",
-        f"`Box({len(world.observation_components)},)`, float32, one vector per individual."
+        OBSERVED.format(
+            full=len(full.observation_components), compact=len(world.observation_components)
+        )
         + ORDER.get(kind(species), ""),
         observations(world.observation_components, together=True),
-        OTHERS.format(count=len(full.observation_components)),
         *PAPER.get(kind(species), ()),
         f"<details><summary>All {len(full.observation_components)} components of "
         "<code>full</code></summary>",
@@ -88,18 +89,28 @@ def page(species: Species) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def task(species: Species) -> list[str]:
-    """What the defaults change of the recorded world, where there is a task."""
-    if kind(species) == "free":
+def tasks(species: Species) -> list[str]:
+    """What the tasks of these animals change, and who earns what in them."""
+    own = {name: task for name, task in TASKS.items() if task.base.name == species.name}
+    if not own:
         return []
-    own = TASKS.get(species.name, {})
-    changed = "".join(f", `{name}={value!r}`" for name, value in own.items())
-    others = "the others follow their script, " if species.num_individuals > 1 else ""
+    ids = [f"`{animarl_envs.environment_id(name)}`" for name in own]
+    rows = [
+        [
+            f"`{name}`",
+            *(f"`{task.changes[name]!r}`" if name in task.changes else "" for task in own.values()),
+        ]
+        for name in dict.fromkeys(name for task in own.values() for name in task.changes)
+    ]
+    if species.num_individuals > 1:
+        rows.insert(0, ["`others`", *["`'scripted'`"] * len(own)])
     return [
+        f"Tasks for reinforcement learning have ids of their own. {' and '.join(ids)} "
+        f"{'are' if len(own) > 1 else 'is'} this world with these changes, and nothing else "
+        "([`animarl_envs/tasks.py`](../../animarl_envs/tasks.py); a factor in `locomotion` is on "
+        "the thrust). Your options come on top of them.",
+        markdown_table(("option", *ids), rows),
         *scores(species.name.capitalize()),
-        f"By default it is a task for reinforcement learning: {others}time costs "
-        f"(`time_cost={TIME_COST:g}`){changed}. `recorded=True` gives the world of the recordings "
-        "instead, without any of this; the learners that imitate have it.",
     ]
 
 
@@ -174,12 +185,11 @@ ORDER = {
     "chase": " The first of the others is the target (or the single pursuer of several targets). "
     "All others are listed by distance, the nearest first.",
 }
-OTHERS = (
-    '`observation="compact"` is the default of `gym.make`, `gym.make_vec` and `parallel_env`. '
-    '`observation="full"` has {count} numbers. Some of them are on scales that show how slow '
-    "animals move, which clones of animals need. So it is the default of this package's learners "
-    "and packaged models. A model acts only on the observation that it was trained on. If you give "
-    "a species as a spec, its own observation is used."
+OBSERVED = (
+    '`Box({full},)`, float32, one vector per individual: `observation="full"`. Some of its numbers '
+    "are on scales that show how slow animals move, which clones of animals need. "
+    '`observation="compact"`, that of the tasks, has the {compact} numbers below. A model acts '
+    "only on the observation that it was trained on."
 )
 PAPER = {
     "chase": (
@@ -355,9 +365,7 @@ def option_defaults(species: Species) -> dict[str, str]:
     for field in fields(species):
         if field.name not in hidden | {"version_history"}:
             shown[field.name] = repr(getattr(species, field.name))
-    if kind(species) != "free":
-        shown |= {name: repr(value) for name, value in task_options(species, {}).items()}
-    return shown | {"observation": repr(COMPACT)}
+    return shown
 
 
 def arena_text(arena: Arena) -> str:

@@ -19,12 +19,8 @@ NOTES: dict[str, tuple[str, str]] = {
     "others": (
         "`'replay'`, `'scripted'`, `'coast'`, a function from observations to actions, or a "
         "mapping from names to these",
-        "how the others move; by default they follow their script, with `recorded` they replay "
-        "their demonstration",
-    ),
-    "recorded": (
-        "`True`, `False`",
-        "the world of the recordings, as learners that imitate have it, instead of the task",
+        "how the others move; by default they replay their demonstration, or follow their script "
+        "where there is none and in tasks",
     ),
     "render_mode": ("`'rgb_array'`, `'human'`, `None`", "pictures as arrays or in a window"),
     "demos": (

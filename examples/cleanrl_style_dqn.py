@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     rng = np.random.default_rng(options.seed)
     torch.manual_seed(options.seed)
 
-    envs = gym.make_vec("AnimaRL/Agent-v0", num_envs=COPIES)
+    envs = gym.make_vec("AnimaRL/AgentTask-v0", num_envs=COPIES)
     n = envs.single_observation_space.shape[0]
     num_actions = int(envs.single_action_space.n)
     online, target = q_network(n, num_actions), q_network(n, num_actions)

@@ -220,7 +220,7 @@ def d3rlpy(steps: int, seed: int) -> str:
     import minari
 
     d3.seed(seed)
-    env = gym.make("AnimaRL/Newt-v0")
+    env = gym.make("AnimaRL/NewtTask-v0")
     quiet: dict[str, Any] = {
         "logger_adapter": d3.logging.NoopAdapterFactory(),
         "show_progress": False,
@@ -247,7 +247,7 @@ def cleanrl(steps: int, seed: int) -> str:
     """CleanRL: its ppo.py as it is, with an id of this package."""
     script = Path(os.environ["CLEANRL"]) / "cleanrl" / "ppo.py"
     command = [
-        sys.executable, str(script), "--env-id", "animarl_envs:AnimaRL/Newt-v0",
+        sys.executable, str(script), "--env-id", "animarl_envs:AnimaRL/NewtTask-v0",
         "--num-steps", "64", "--total-timesteps", str(steps), "--seed", str(seed),
     ]  # fmt: skip
     folder = tempfile.mkdtemp()
@@ -262,7 +262,7 @@ def pufferlib(steps: int, seed: int) -> str:
     """PufferLib: its emulation of a single and of a multi-agent environment."""
     from pufferlib.emulation import GymnasiumPufferEnv, PettingZooPufferEnv
 
-    single = GymnasiumPufferEnv(env_creator=lambda **_: gym.make("AnimaRL/Newt-v0"))
+    single = GymnasiumPufferEnv(env_creator=lambda **_: gym.make("AnimaRL/NewtTask-v0"))
     single.reset(seed=seed)
     everyone = PettingZooPufferEnv(env_creator=lambda **_: newt_v0.parallel_env())
     everyone.reset(seed=seed)
@@ -282,7 +282,7 @@ def pufferlib(steps: int, seed: int) -> str:
 
 def make_newt(*_: Any, **__: Any) -> Any:
     """Make the environment, as Sample Factory asks for it."""
-    return gym.make("AnimaRL/Newt-v0")
+    return gym.make("AnimaRL/NewtTask-v0")
 
 
 def sample_factory(steps: int, seed: int) -> str:

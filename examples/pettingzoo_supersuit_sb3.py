@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> tuple[int, int]:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
 
-    env = parallel_env("agent", time_limit=50)
+    env = parallel_env("AgentTask", time_limit=50)
     venv = supersuit.pettingzoo_env_to_vec_env_v1(env)
     venv = supersuit.concat_vec_envs_v1(venv, options.copies, base_class="stable_baselines3")
     venv.venv.reset(seed=options.seed)

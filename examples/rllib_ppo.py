@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    register_env("chase", lambda _: ParallelPettingZooEnv(animarl_envs.parallel_env("agent")))
+    register_env("chase", lambda _: ParallelPettingZooEnv(animarl_envs.parallel_env("AgentTask")))
     config = (
         PPOConfig()
         .environment("chase")

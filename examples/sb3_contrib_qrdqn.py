@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
 
-    env = Monitor(gym.make("AnimaRL/Newt-v0", time_limit=200))
+    env = Monitor(gym.make("AnimaRL/NewtTask-v0", time_limit=200))
     model = QRDQN(
         "MlpPolicy",
         env,

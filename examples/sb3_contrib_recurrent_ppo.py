@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     options = parser.parse_args(arguments)
 
     venv = make_vec_env(
-        "AnimaRL/Silkmoth-v0", n_envs=2, seed=options.seed, env_kwargs={"condition": 0}
+        "AnimaRL/SilkmothTask-v0", n_envs=2, seed=options.seed, env_kwargs={"condition": 0}
     )
     model = RecurrentPPO(
         "MlpLstmPolicy",

@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
 
-    env = Monitor(gym.make("AnimaRL/Agent-v0"))
+    env = Monitor(gym.make("AnimaRL/AgentTask-v0"))
     model = DQN(
         "MlpPolicy",
         env,

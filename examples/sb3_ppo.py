@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     options = parser.parse_args(arguments)
 
     venv = make_vec_env(
-        "AnimaRL/Fly-v0",
+        "AnimaRL/FlyTask-v0",
         n_envs=4,
         seed=options.seed,
         env_kwargs={"focal": "female", "others": "scripted"},

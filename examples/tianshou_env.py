@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     torch.manual_seed(options.seed)
 
     def make() -> gym.Env:
-        return gym.make("AnimaRL/Agent-v0")
+        return gym.make("AnimaRL/AgentTask-v0")
 
     training, testing = DummyVectorEnv([make] * COPIES), DummyVectorEnv([make] * 2)
     training.seed(options.seed)

@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> float:
     options = parser.parse_args(arguments)
     torch.manual_seed(options.seed)
 
-    env = TransformedEnv(GymEnv("AnimaRL/Agent-v0", categorical_action_encoding=True))
+    env = TransformedEnv(GymEnv("AnimaRL/AgentTask-v0", categorical_action_encoding=True))
     env.append_transform(StepCounter())
     env.append_transform(RewardSum())
     env.set_seed(options.seed)

@@ -29,7 +29,8 @@ OTHERS = {
     "context": shared.CONTEXT,
     "details": shared.option("details", bool, False, DETAILS),
     "env": shared.option("env", str | None, None, typer.Option(
-        help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
+        help="Environment id, such as AnimaRL/Fly-v0: learn in this world as it is, with the "
+        "locomotion of its species; --species fits the locomotion to FILE.",
     )),
     "folds": shared.option("folds", int | None, None, typer.Option(
         min=0,
@@ -91,7 +92,7 @@ def run_command(**given: Any) -> None:
 
       animarl run packaged --steps 20000 --out runs/first
 
-      animarl run --env AnimaRL/Agent-v0 --algo dqdil --preset paper --out runs/paper
+      animarl run packaged --species agent --algo dqdil --preset paper --out runs/paper
 
       animarl run episodes_share.npz --algo dqdil-pt --seed 0 --out runs/agents
 
@@ -163,7 +164,7 @@ def train_command(context: typer.Context, **given: Any) -> None:
 
       animarl train --resume runs/second --steps 40000
 
-      animarl train --algo qr-dqcil-pt --env AnimaRL/Agent-v0 --preset paper --steps 20000
+      animarl train packaged --species agent --algo qr-dqcil-pt --preset paper --steps 20000
 
       animarl train --env AnimaRL/Agent-v0 --algo dqn --focal prey --policy MlpPolicy
     """
@@ -214,6 +215,8 @@ def _open(given: dict[str, Any]) -> Run:
         overrides["policy"] = given["policy"]
     told = {k: v for k, v in given.items() if k in RunSettings.model_fields and v is not None}
     told |= {"species": species, "overrides": overrides}
+    if given["env"] is not None and species != CUSTOM:
+        told.setdefault("fit_method", "species")
     learner = RunSettings(**{"steps": 1} | told).learner()
     preset = pipeline_settings(environment_id(species), given["preset"])
     preset |= {"steps": learner.n_timesteps, "copies": learner.n_envs}

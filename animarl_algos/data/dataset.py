@@ -316,7 +316,7 @@ def check_demonstrations(data: Any, recipe: Recipe, network: StackedQNetwork, en
             raise InputError(
                 f"the {name} demonstrations have {theirs[0]} individuals with {theirs[1]} "
                 f"observation components, the environment {mine[0]} with {mine[1]}: make them for "
-                "this environment, or ask gym.make for observation='full' and recorded=True"
+                "this environment, or ask gym.make for observation='full'"
             )
         known = getattr(dataset, "individuals", None)  # of this package's datasets, if named
         placed = getattr(env, "individuals", None)  # of a VecEnv of slots

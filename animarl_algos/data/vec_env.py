@@ -30,7 +30,8 @@ from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario, refuse_other_species
-from animarl_envs.species import Species, resolve_variant
+from animarl_envs.species import Species
+from animarl_envs.tasks import find_task
 from animarl_envs.views.common import (
     check_actions,
     chosen_demos,
@@ -41,10 +42,9 @@ from animarl_envs.views.single import AnimalEnv
 from animarl_envs.worlds import make_world
 from animarl_envs.wrappers import Cue, check_cue, cue_of, with_flag
 
-SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
-OWN_OPTIONS = (
-    "split", "focal", "condition_flag", "cue", "dtw", "labels", "label_width", "label_horizon",
-)  # fmt: skip
+SCENARIO_OPTIONS = ("condition", "observation_noise", "observation_delay")
+LABEL_OPTIONS = ("labels", "label_width", "label_horizon")
+OWN_OPTIONS = ("split", "focal", "condition_flag", "cue", "dtw", *LABEL_OPTIONS)
 """Options of :class:`SlotVecEnv`: the scenario's, and its own."""
 
 
@@ -54,14 +54,15 @@ class SlotVecEnv(VecEnv):
     Parameters
     ----------
     species
-        A species or its name.
+        A species, or the name or id of one or of a task (:mod:`animarl_envs.tasks`).
     num_copies
         Copies of the world, ``n``; there are ``n K`` slots.
     demos, split
         Demonstrations with their splits, and the split that episodes start from (``None``: train
         and val). Test episodes are dropped before anything looks at them.
     focal
-        Only this individual learns; the others replay their demonstration. By default all learn.
+        Only this individual learns; the others do as in ``gym.make``: they replay their
+        demonstration, or follow their script in a task. By default all learn.
     condition_flag, cue
         Whether the condition is the last observation component (``None``: if the species has
         conditions and the demonstrations hold both), and what is told of it.
@@ -106,7 +107,6 @@ class SlotVecEnv(VecEnv):
         if split == "test":
             raise InputError("split is 'test': learners are never given the test split")
         check_labels(labels, label_width, label_horizon)
-        species, options = resolve_variant(species, options)
         with also_list_options_of(SlotVecEnv.__init__, without=("drivers",)):
             full = make_scenario(species, demos=demos, split=None, **options)
         everyone = full.names
@@ -115,12 +115,14 @@ class SlotVecEnv(VecEnv):
         self.individuals = everyone if focal is None else (focal,)
         self._learners = np.array([everyone.index(name) for name in self.individuals])
         shown = None if full.demos is None else learnable(full.demos)
+        replayed = full.paired and find_task(species) is None
         self.demos: Demonstrations | None = shown
         self.scenario = make_scenario(
             full.species,
             demos=shown,
             split=split if shown is not None else None,
-            drivers=focal_drivers(everyone, focal),
+            start=full.start,
+            drivers=focal_drivers(everyone, focal, "replay" if replayed else "scripted"),
             **{k: v for k, v in options.items() if k in SCENARIO_OPTIONS},
         )
         if condition_flag is None:
@@ -416,8 +418,7 @@ def check_environment_supports(
         if needed and name not in given:
             raise InputError(
                 f"recipe {recipe.name} needs {words} and the environment declares none ({name!r} "
-                "in its attribute feedback): learn in a SlotVecEnv with demonstrations, or wrap a "
-                "single environment in the DTW reward"
+                f"in its attribute feedback): learn in {_suggested_slots(env, recipe)}"
             )
     if recipe.needs_distance and (own := declared(env, "alpha")) not in (None, alpha):
         raise InputError(
@@ -427,11 +428,26 @@ def check_environment_supports(
     if recipe.needs_condition and not layout.condition_flag:
         raise InputError(
             f"recipe {recipe.name} needs the condition flag as the last observation component and "
-            "the environment has none: wrap it in the condition-flag wrapper"
+            f"the environment has none: learn in {_suggested_slots(env, recipe)}, or wrap it in "
+            "the condition-flag wrapper"
         )
 
 
-def demonstrations_in(env: VecEnv, demos: Demonstrations, layout: SlotLayout) -> Any:
+def _suggested_slots(env: VecEnv, recipe: Recipe) -> str:
+    """Return the lines that make an environment for a recipe, of the species of ``env`` if any."""
+    scenario, focal = declared(env, "scenario"), declared(env, "focal_index")
+    species = "agent" if scenario is None else scenario.species.name
+    flag = ", condition_flag=True" if recipe.needs_condition else ""
+    every = f'SlotVecEnv("{species}"{flag})'
+    if scenario is None or focal is None or len(scenario.names) == 1:
+        return every
+    one = f'SlotVecEnv("{species}", focal="{scenario.names[focal]}"{flag})'
+    return f"{every}, or for one individual in {one}"
+
+
+def demonstrations_in(
+    env: VecEnv, demos: Demonstrations, layout: SlotLayout, **labels: Any
+) -> SpeciesDemonstrations:
     """Return the splits of ``demos`` that training may see, in the terms of ``env``.
 
     Raises
@@ -449,8 +465,9 @@ def demonstrations_in(env: VecEnv, demos: Demonstrations, layout: SlotLayout) ->
     shown = learnable(demos)
     replace(scenario, demos=shown)  # refuses others
     learners = layout.individuals if focal is None else (scenario.names[focal],)
-    labels = getattr(env, "labels", ())
-    return SpeciesDemonstrations(scenario.species, shown, learners, layout.condition_flag, *labels)
+    if (own := getattr(env, "labels", None)) is not None:
+        labels = dict(zip(LABEL_OPTIONS, own, strict=True))
+    return SpeciesDemonstrations(scenario.species, shown, learners, layout.condition_flag, **labels)
 
 
 def refuse_other_slots(there: SlotLayout, here: SlotLayout) -> None:
@@ -518,9 +535,11 @@ class MixedMeansWarning(UserWarning):
     """Returns of different individuals are about to be averaged."""
 
 
-def focal_drivers(names: tuple[str, ...], focal: str | None) -> dict[str, str]:
-    """Return drivers by which all but ``focal`` replay their demonstration; none without focal."""
-    return {name: "replay" for name in names if focal not in (None, name)}
+def focal_drivers(
+    names: tuple[str, ...], focal: str | None, rule: str = "replay"
+) -> dict[str, str]:
+    """Return drivers by which all but ``focal`` follow a rule; none without ``focal``."""
+    return {name: rule for name in names if focal not in (None, name)}
 
 
 class FocalPolicy:

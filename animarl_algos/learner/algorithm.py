@@ -20,7 +20,12 @@ from stable_baselines3.common.utils import configure_logger, polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset, check_demonstrations
-from animarl_algos.data.vec_env import check_environment_supports, declared_feedback, feedback_of
+from animarl_algos.data.vec_env import (
+    check_environment_supports,
+    declared,
+    declared_feedback,
+    feedback_of,
+)
 from animarl_algos.learner.base import BaseLearner
 from animarl_algos.learner.callbacks import with_progress_bar
 from animarl_algos.learner.pretraining import (
@@ -38,6 +43,8 @@ from animarl_algos.networks.policies import State, values_to_logits, zero_value_
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
+STEP_VARIABLES = ("actions", "new_obs", "rewards", "dones", "infos")
+"""Variables of a step, one entry for each slot, that callbacks of stable-baselines3 read."""
 FARTHEST = 1000.0
 """Inputs standardised by random steps are clipped at so many sd: learnt behaviour goes farther."""
 
@@ -58,6 +65,10 @@ class SequenceQLearning(BaseLearner):
         if self.demonstrations is not None:
             return self.demonstrations
         own = getattr(self.env, "offline_data", None)
+        single = declared(self.env, "scenario") if own is None else None
+        if single is not None and single.all_splits is not None:
+            self.demonstrations = self._as_data(single.all_splits)
+            return self.demonstrations
         if own is None or getattr(self.env, "demos", own) is None:
             raise InputError(
                 f"recipe {self.recipe.name} learns from demonstrations and neither it nor its "
@@ -240,13 +251,32 @@ class SequenceQLearning(BaseLearner):
             if finished:
                 over = np.flatnonzero(dones)
                 self._update_info_buffer([infos[s] for s in over], dones[over])
-            callback.update_locals(locals())
-            continue_training = callback.on_step()
+            continue_training = self._call_back(callback, locals())
             if log_interval is not None and self._episode_num % log_interval < finished:
                 self.dump_logs()
         if continue_training:
             callback.on_rollout_end()
         return RolloutReturn(schedule.steps * copies, schedule.episodes, continue_training)
+
+    def _call_back(self, callback: BaseCallback, variables: dict[str, Any]) -> bool:
+        """Call ``callback`` once for each world step, as in one environment; False to stop.
+
+        So ``CheckpointCallback(100)`` saves after 100 world steps, however many copies make them.
+        ``variables`` are the locals of a step of all copies; the callback sees those of one copy.
+        """
+        done, K, copies = self.num_timesteps, self.layout.num_individuals, self.layout.num_copies
+        continue_training = True
+        for b in range(copies):
+            own = slice(b * K, (b + 1) * K)
+            self.num_timesteps = done - copies + b + 1
+            callback.update_locals(
+                variables | {name: variables[name][own] for name in STEP_VARIABLES}
+            )
+            continue_training = callback.on_step()
+            if not continue_training:
+                break
+        self.num_timesteps = done
+        return continue_training
 
     def _choose_actions(self, learning_starts: int) -> tuple[NDArray[Any], State]:
         """Return an action per slot and the memory after it: uniform before ``learning_starts``."""

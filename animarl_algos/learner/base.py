@@ -19,8 +19,8 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 
 from animarl_algos.checked import SEED
 from animarl_algos.data.vec_env import (
+    LABEL_OPTIONS,
     SlotLayout,
-    SlotVecEnv,
     check_environment_supports,
     check_observation,
     declared,
@@ -35,6 +35,7 @@ from animarl_algos.learner.presets import (
     check_settings,
     constructor_settings,
     learner_preset,
+    section_of,
 )
 from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.learner.settings import (
@@ -57,7 +58,7 @@ from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayB
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.species import CUSTOM, SPECIES, Species, resolve_variant, species_name
+from animarl_envs.species import Species, get_species
 
 TO_SB3 = (
     "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
@@ -89,10 +90,10 @@ class BaseLearner(OffPolicyAlgorithm):
     policy
         ``"GruPolicy"`` (with a memory) or ``"MlpPolicy"``.
     env
-        Any Gymnasium environment with Discrete actions, its id, or a VecEnv. An id of this package
-        (``"AnimaRL/Newt-v0"``, or ``"newt"``) stands for all individuals, with the packaged
-        demonstrations and as many copies as the preset has. A VecEnv with the attributes
-        ``individuals`` and ``num_copies`` trains all individuals.
+        Any Gymnasium environment with Discrete actions, its id, or a VecEnv. An id stands for
+        ``gym.make(id)``, in which one individual acts; ``"newt"`` is short for
+        ``"AnimaRL/Newt-v0"``. A VecEnv with the attributes ``individuals`` and ``num_copies``, such
+        as ``SlotVecEnv("newt")``, trains all individuals.
     learning_rate
         Of Adam, a number or a schedule of the remaining progress.
     demonstrations
@@ -176,14 +177,14 @@ class BaseLearner(OffPolicyAlgorithm):
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
         if isinstance(env, str):
-            name, options = resolve_variant(env, {})
-            known = env not in gym.registry and species_name(str(name)) in (*SPECIES, CUSTOM)
-            if "AnimaRL/" in env or known:  # none of another package's
-                preset = learner_preset(self.preset, environment_id(str(name)))
+            env_id = environment_id(env)
+            if "AnimaRL/" in env or (env not in gym.registry and env_id in gym.registry):
+                if env_id not in gym.registry:
+                    get_species(env)  # refuses it
+                options: dict[str, Any] = {}
                 if isinstance(demonstrations, Demonstrations):
                     options["demos"], demonstrations = demonstrations, None
-                options |= preset.env_kwargs
-                env = SlotVecEnv(name, preset.n_envs, condition_flag=None, **options)
+                env = gym.make(env_id, **options)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
         policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):
@@ -225,7 +226,7 @@ class BaseLearner(OffPolicyAlgorithm):
             assert self.env is not None
             check_environment_supports(self.recipe, self.env, self.layout, self.alpha)
             if isinstance(demonstrations, Demonstrations):
-                self.demonstrations = demonstrations_in(self.env, demonstrations, self.layout)
+                self.demonstrations = self._as_data(demonstrations)
             if demonstrations is not None:
                 self.check_learnable()
             elif self.offline_epochs or self.recipe.inverse:  # there, though not looked at yet
@@ -235,6 +236,14 @@ class BaseLearner(OffPolicyAlgorithm):
     def _kind(cls) -> dict[str, Any]:
         """Return what a zip file says of the learner that it is of."""
         return {"name": cls.__name__, "recipe": cls.recipe.name, "quantiles": cls.quantiles}
+
+    def _as_data(self, demos: Demonstrations) -> Any:
+        """Return demonstrations in the terms of the environment, labelled as the preset says."""
+        assert self.env is not None
+        name = self.pretrained_preset if self.recipe.online else self.preset
+        options = learner_preset(name or self.preset, section_of(self.env)).env_kwargs
+        labels = {key: value for key, value in options.items() if key in LABEL_OPTIONS}
+        return demonstrations_in(self.env, demos, self.layout, **labels)
 
     # -- set up -----------------------------------------------------------------------------------
 

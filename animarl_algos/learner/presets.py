@@ -1,10 +1,10 @@
 """Settings of the learners in files of ``zoo_configs``, for the command line and for Python.
 
-A file holds a section per environment id and in it the presets ``paper`` and ``default``. The
-section ``common`` goes under every section of its file, and the files named by ``base`` under
-both, so that a number stands in one place. What goes over another setting replaces it, but tables
-(``env_kwargs``, ``policy_kwargs``, ``replay_buffer_kwargs``) are merged key by key. Files are plain
-data, never evaluated; what they leave open has the default of
+A file holds a section per environment id (a task has that of its animals) and in it the presets
+``paper`` and ``default``. The section ``common`` goes under every section of its file, and the
+files named by ``base`` under both, so that a number stands in one place. What goes over another
+setting replaces it, but tables (``env_kwargs``, ``policy_kwargs``, ``replay_buffer_kwargs``) are
+merged key by key. Files are plain data, never evaluated; what they leave open has the default of
 :class:`animarl_algos.learner.settings.LearnerSettings`. A learner made in Python takes from preset
 ``default`` what it is not told, for the species of its environment where that says one.
 """
@@ -30,6 +30,7 @@ from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.files import parse_yaml
 from animarl_envs.scenario import Scenario
+from animarl_envs.tasks import find_task
 
 CONFIGS = resources.files("zoo_configs")
 PRESETS = ("paper", "default")
@@ -177,6 +178,9 @@ def read_preset(
     if str(config) in within:
         raise InputError(f"{config}: it is its own base: name another file under base")
     bases, sections = read_file(config, model)
+    task = find_task(env_id)
+    if task is not None and env_id not in sections:  # the section of its animals
+        env_id = environment_id(task.base.name)
     settings: dict[str, Any] = {}
     listed = preset in sections.get(env_id, {})
     for base in bases:

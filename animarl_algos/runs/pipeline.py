@@ -107,7 +107,9 @@ def fit(run: Run) -> LocomotionFit:
             thrusts = int(settings.thrusts)
         elif method == "joint":
             thrusts = choose_thrusts(demos, seed=settings.seed)[0]
-        result = fit_locomotion(demos, method, seed=settings.seed, thrusts=thrusts)
+        result = fit_locomotion(
+            demos, method, seed=settings.seed, thrusts=thrusts, base=settings.species
+        )
         result.save(file)
         return result
 

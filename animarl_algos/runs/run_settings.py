@@ -19,6 +19,7 @@ from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import PACKAGED, refuse_other_species
 from animarl_envs.species import CUSTOM, SPECIES, Species, get_species, species_name
+from animarl_envs.tasks import find_task
 
 if TYPE_CHECKING:
     from animarl_algos.learner.presets import LearnerPreset
@@ -30,8 +31,9 @@ CHOSEN, AUTO = "chosen", "auto"
 class PipelineSettings(Checked):
     """What is done around a learner, as ``zoo_configs/pipeline.yml`` may say it."""
 
-    fit_method: Literal["joint", "onset", "noise"] = "joint"
-    """joint, onset (the paper's rule) or noise (for noisy tracks); by default the preset's."""
+    fit_method: Literal["joint", "onset", "noise", "species"] = "joint"
+    """joint, onset (the paper's rule), noise (for noisy tracks) or species (its own parameters,
+    nothing is fitted; with --env); by default the preset's."""
     thrusts: str = AUTO
     """Thrust magnitudes, 1 to 10, or auto: chosen on training data."""
     acting: str = CHOSEN
@@ -192,14 +194,18 @@ def environment_options(env: str) -> dict[str, Any]:
 def asked_species(env: str | None, species: str | None) -> str | None:
     """Return the species that ``--env`` and ``--species`` name; None if neither is given.
 
-    Raises InputError if they contradict each other, or the environment is none of this suite.
+    Raises InputError if they contradict each other, or the environment is no animals' world.
     """
     species = None if species is None else species_name(species)
     if env is None:
         return species
-    spec = gym.registry.get(env, gym.registry.get(environment_id(env)))
-    named = None if spec is None else spec.kwargs.get("species")
-    if not isinstance(named, str):
+    named = species_name(env)
+    if find_task(env) is not None:
+        raise InputError(
+            f"{env} is a task and no animals' world: train it with 'python -m animarl_algos.zoo "
+            f"train --algo dqn --env {environment_id(env)}', or give the id of the animals"
+        )
+    if named not in (*SPECIES, CUSTOM):
         raise InputError(
             f"environment {env!r} is none of AnimaRL's: choose among "
             f"{', '.join(environment_id(s) for s in (*SPECIES, CUSTOM))}, or train it with "

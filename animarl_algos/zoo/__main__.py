@@ -43,7 +43,8 @@ NOTE = """Learners of this project through rl_zoo3, with its options and --prese
 Unless given, --eval-freq is a tenth of the steps, at most 25,000; -1 is for none.
 KEY:VALUE pairs are YAML, never evaluated (-params learning_rate:0.001 offline_epochs:5).
 'optimize' does not tune what -params gives.
-AnimaRL ids train all individuals; --env-kwargs focal:prey trains one. The model, its settings,
+An AnimaRL id is the world of gym.make(id), in which all individuals learn; --env-kwargs focal:prey
+trains one. The model, its settings,
 learning curves (CSV, TensorBoard) and evaluations on the validation split go to
 <log-folder>/<algo>/<env>_<number>. -i loads a zip file, which holds pickles: only your own.
 """

@@ -35,7 +35,6 @@ from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_settings import environment_options
 from animarl_envs.errors import InputError
-from animarl_envs.species import Species
 
 EVAL_BY_LENGTH = 0
 """An evaluation frequency that stands for a tenth of the run, at most :data:`MOST_BETWEEN`."""
@@ -100,8 +99,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             for name, instead in OF_TRAINING.items():
                 if name in options | given:
                     raise InputError(f"--env-kwargs {name}: training sets it itself: {instead}")
-            # The observation is said in full, whatever the default becomes.
-            options = {"observation": Species.observation} | found.env_kwargs | options
+            options = found.env_kwargs | options
         self.eval_env_kwargs = options | given
         settings = found.arguments | {
             "n_timesteps": found.n_timesteps,
@@ -173,6 +171,10 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         if self.eval_freq == EVAL_BY_LENGTH:
             self.eval_freq = min(MOST_BETWEEN, max(1, self.n_timesteps // 10))
             self.args.eval_freq = self.eval_freq
+        # rl_zoo3 divides by the copies, but these learners call back once for each world step.
+        self.save_freq, self.eval_freq = (
+            frequency * self.n_envs for frequency in (self.save_freq, self.eval_freq)
+        )
         super().create_callbacks()  # type: ignore[no-untyped-call]
 
     # -- learning ---------------------------------------------------------------------------------
@@ -231,6 +233,11 @@ def _plain(value: Any) -> Any:
 
 class FinalScore(TrialEvalCallback):  # type: ignore[misc]
     """rl_zoo3's evaluation of a trial, whose last score is that at the end of training."""
+
+    def _init_callback(self) -> None:
+        super()._init_callback()
+        assert isinstance(self.model, SequenceQLearning)
+        self.eval_freq *= self.model.layout.num_copies  # by which rl_zoo3 has divided it
 
     def _on_training_end(self) -> None:
         if not self.is_pruned:

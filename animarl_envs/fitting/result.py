@@ -25,9 +25,10 @@ from animarl_envs.fitting.transitions import (
     velocity_rmse,
 )
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES
 
-Method = Literal["joint", "onset", "noise"]
+Method = Literal["joint", "onset", "noise", "species"]
 BOOTSTRAP = 1000
 TOO_FAST = 2.0  # terminal speeds beyond so many times the top speed seen
 MATTERS = 0.1  # relative difference of d that is worth a warning, if it is beyond the interval
@@ -122,6 +123,7 @@ def fit_locomotion(
     split: str | None = "train",
     bootstrap: int = BOOTSTRAP,
     seed: int = 0,
+    base: str | None = None,
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
@@ -134,7 +136,8 @@ def fit_locomotion(
         Recorded episodes, with their splits.
     method
         ``"joint"`` (see :mod:`animarl_envs.fitting.joint`), ``"onset"``, the paper's rule, or
-        ``"noise"``, for noisy tracks (see :mod:`animarl_envs.fitting.noise`).
+        ``"noise"``, for noisy tracks (see :mod:`animarl_envs.fitting.noise`), or ``"species"``: the
+        parameters of the species, which are not fitted.
     thrusts
         Number of thrust magnitudes (see :mod:`animarl_envs.fitting.joint`).
     onset_threshold
@@ -146,9 +149,11 @@ def fit_locomotion(
         Resamples of episodes for the intervals; 0 leaves them out.
     seed
         Of the resampling.
+    base
+        Species of method ``"species"``, by name; by default that of the demonstrations.
     """
     if method not in get_args(Method):
-        raise InputError(f"method {method!r} is unknown: choose joint, onset or noise")
+        raise InputError(f"method {method!r} is unknown: choose joint, onset, noise or species")
     training = demos if split is None else demos.select(split=split)
     without_validation = split is None and not (demos.split == "val").any()
     validation = demos if without_validation else demos.select(split="val")
@@ -160,10 +165,12 @@ def fit_locomotion(
         onset_threshold = default_onset_threshold(demos)
     if method != "joint" and thrusts != 1:
         raise InputError(
-            f"thrusts is {thrusts!r} but the {method} rule fits one thrust: use method joint"
+            f"thrusts is {thrusts!r} but method {method} takes no number of them: use joint"
         )
     weights = resampling_weights(training.num_episodes, bootstrap, seed)
     joint = joint_locomotion(training, thrusts) if method == "joint" else ()
+    if method == "species":
+        joint = make_scenario(base or demos.species, demos=demos).species.locomotion
     fits: list[IndividualFit] = []
     for i, name in enumerate(demos.individuals):
         if fits and demos.is_group:  # animals that are alike have one locomotion
@@ -177,7 +184,7 @@ def fit_locomotion(
             more["tracking_noise"] = noisy.noise
         elif onset_threshold is None:
             own = joint[i]
-            if weights is not None and thrusts == 1:
+            if weights is not None and thrusts == 1 and method == "joint":
                 data = transitions(training, i)
                 if data.next_velocity.any():
                     samples = bootstrap_joint(data, own, weights, fast_speed(data))

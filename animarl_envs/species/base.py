@@ -70,7 +70,7 @@ class Species(ABC):
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
     boundary_penalty: AnyNumber = -10.0
     time_cost: ZeroOrPositive = 0.0  # what a whole episode costs pursuer or searcher, in captures
-    observation: str = "full"  # one of ``observations``; what is made by a name is "compact"
+    observation: str = "full"  # one of ``observations``
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     traits: Traits | None = None  # in which individuals differ; None: they are all alike
     mirror_symmetric: bool = True  # left and right are alike to it

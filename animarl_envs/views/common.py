@@ -19,28 +19,13 @@ from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, MissingExtraError, also_list_options_of
 from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
-from animarl_envs.species import (
-    COMPACT,
-    SPECIES,
-    TASKS,
-    ChaseSpecies,
-    SearchSpecies,
-    Species,
-    species_name,
-)
+from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.tasks import find_task
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
-
-TIME_COST = 0.5  # of a whole episode [captures]
-CLASHES = {
-    "rebound": ("arena", "boundary", "boundary_penalty"),
-    "start": ("demos",),
-    "locomotion": ("individuals", "num_targets"),
-}
-"""Options that, when given, leave a default of :data:`animarl_envs.species.TASKS` out."""
 
 Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
 
@@ -121,7 +106,6 @@ class FocalView(View):
         num_copies: int,
         focal: str | None,
         others: Others,
-        recorded: bool,
         render_mode: str | None,
         options: dict[str, Any],
     ) -> None:
@@ -131,16 +115,15 @@ class FocalView(View):
                 "drivers is an option of parallel_env: say with focal who acts and with others "
                 "what moves the rest"
             )
-        options = options if recorded else task_options(species, options)
         with also_list_options_of(type(self).__init__, without=("drivers",)):
-            scenario = viewed_scenario(species, options)
+            scenario = make_scenario(species, **options)
         names = scenario.names
         focal = names[first_pursuer(scenario.species.roles)] if focal is None else focal
         if focal not in names:
             raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
         rest = [name for name in names if name != focal]
-        pursued = "target" in scenario.species.roles  # of free animals a rule would say little
-        usual: Any = "replay" if scenario.paired and (recorded or not pursued) else "scripted"
+        replayed = scenario.paired and find_task(species) is None
+        usual: Any = "replay" if replayed else "scripted"
         rules: dict[str, Any] = dict.fromkeys(rest, usual if others is None else others)
         if isinstance(others, Mapping):
             unknown = sorted(set(others) - set(rest))
@@ -184,29 +167,6 @@ class FocalView(View):
             spec = copy.copy(spec)
             spec.max_episode_steps = limit
         self._spec = spec
-
-
-def viewed_scenario(species: Species | str, options: Mapping[str, Any]) -> Scenario:
-    """Make a scenario; of a species by its name, what is observed is compact unless asked for."""
-    usual = {"observation": COMPACT} if isinstance(species, str) else {}
-    return make_scenario(species, **(usual | dict(options)))
-
-
-def task_options(species: Species | str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a task for reinforcement learning, where the caller does not say."""
-    name = species_name(species if isinstance(species, str) else species.name)
-    known = SPECIES.get(name) if isinstance(species, str) else species
-    if isinstance(known, ChaseSpecies) and known.free:
-        return dict(options)  # where nobody is pursued nothing is to be reached
-    own = {
-        key: value
-        for key, value in TASKS.get(name, {}).items()
-        if options.keys().isdisjoint(CLASHES.get(key, ()))
-    }
-    recordings = not isinstance(options.get("demos"), str | None)
-    if recordings or options.get("lone_pursuer") or options.get("free"):
-        own.pop("locomotion", None)  # of own recordings nobody is made faster than it was
-    return {"time_cost": TIME_COST, **own, **options}
 
 
 # -- spaces and what is handed in -----------------------------------------------------------------

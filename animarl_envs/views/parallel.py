@@ -12,6 +12,7 @@ from pettingzoo import ParallelEnv
 
 from animarl_envs.drawing.render import RENDER_MODES
 from animarl_envs.errors import InputError, also_list_options_of
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views import common
 
@@ -25,10 +26,7 @@ class AnimalParallelEnv(common.View, ParallelEnv[str, NDArray[np.float32], int])
     Parameters
     ----------
     species
-        A species or its name.
-    recorded
-        Whether the world is that of the recordings or a task, as in
-        :class:`~animarl_envs.views.single.AnimalEnv`.
+        A species, or the name or id of one or of a task (:mod:`animarl_envs.tasks`).
     render_mode
         ``"rgb_array"``, ``"human"`` or ``None``.
     max_cycles
@@ -58,14 +56,12 @@ class AnimalParallelEnv(common.View, ParallelEnv[str, NDArray[np.float32], int])
         self,
         species: Species | str,
         *,
-        recorded: bool = False,
         render_mode: str | None = None,
         max_cycles: int | None = None,
         **options: Any,
     ) -> None:
-        options = options if recorded else common.task_options(species, options)
         with also_list_options_of(AnimalParallelEnv.__init__):
-            scenario = common.viewed_scenario(species, options)
+            scenario = make_scenario(species, **options)
         self.max_cycles = common.checked_limit("max_cycles", max_cycles)
         self._build(scenario, 1, render_mode)
         self.metadata["name"] = f"animarl_{scenario.species.name}_v0"

@@ -21,31 +21,24 @@ KEYS = {
 
 
 class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ignore[misc]
-    """A recorded animal, in the world of its species.
+    """A recorded animal, in the world of its species or in a task.
 
     Parameters
     ----------
     species
-        A species or its name.
+        A species, or the name or id of one or of a task (:mod:`animarl_envs.tasks`).
     focal
         Name of the individual that acts; by default the first pursuer.
     others
         ``"replay"`` (their demonstration; they coast when it ends), ``"scripted"``, ``"coast"``, a
         function from observations ``(B, n)`` to actions ``(B,)``, or a mapping from names to these.
-        By default they follow their script; free animals, and with ``recorded`` all, replay
-        where episodes start from demonstrations.
-    recorded
-        ``True``: the world of the recordings, as learners that imitate have it. ``False``: a task
-        for reinforcement learning, whose defaults differ
-        (:func:`~animarl_envs.views.common.task_options`): opponents that act, a small cost of
-        time, walls for the agents, a smaller contact radius for the flies, starts of the moth
-        anywhere around the source.
+        By default they replay where episodes start from demonstrations, and follow their script
+        otherwise; in a task they always follow their script.
     render_mode
         ``"rgb_array"``, ``"human"`` or ``None``.
     options
         Of :func:`animarl_envs.scenario.make_scenario`: ``demos``, ``split``, ``condition``,
-        ``start``, ``num_pursuers``, ``arena``, ``contact_radius``, ``locomotion``, ... Of a species
-        given by name, ``observation`` is ``"compact"`` unless asked for.
+        ``start``, ``num_pursuers``, ``arena``, ``contact_radius``, ``locomotion``, ...
 
     Notes
     -----
@@ -68,7 +61,7 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
     >>> env = gym.make("AnimaRL/Agent-v0", focal="predator_1")
     >>> observation, info = env.reset(seed=0)
     >>> observation.shape
-    (15,)
+    (44,)
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
@@ -81,11 +74,10 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         *,
         focal: str | None = None,
         others: Others = None,
-        recorded: bool = False,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self._build_focal(species, 1, focal, others, recorded, render_mode, options)
+        self._build_focal(species, 1, focal, others, render_mode, options)
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = Discrete(self.world.num_actions)
         self._running = False

@@ -37,7 +37,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
     max_episode_steps
         Gymnasium's name for the most steps of an episode, which truncate it; by default the
         species' time limit alone does.
-    species, focal, others, recorded, options
+    species, focal, others, options
         As in :class:`~animarl_envs.views.single.AnimalEnv`.
 
     Notes
@@ -62,7 +62,6 @@ class AnimalVectorEnv(  # type: ignore[misc]
         *,
         focal: str | None = None,
         others: common.Others = None,
-        recorded: bool = False,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
@@ -78,7 +77,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
                 f"autoreset_mode is {autoreset_mode!r}: choose one of "
                 f"{', '.join(mode.value for mode in AutoresetMode)}"
             ) from None
-        self._build_focal(species, num_envs, focal, others, recorded, render_mode, options)
+        self._build_focal(species, num_envs, focal, others, render_mode, options)
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.num_envs = num_envs
         self.single_observation_space = common.observation_space(self.world)

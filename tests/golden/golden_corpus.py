@@ -28,6 +28,7 @@ import animarl_envs
 from animarl_algos import SlotVecEnv
 from animarl_algos.recipes.registry import RECIPES
 from animarl_envs import SPECIES
+from animarl_envs.tasks import find_task
 from animarl_envs.wrappers import (
     ConditionFlag,
     ConditionFlagParallel,
@@ -158,7 +159,7 @@ def parallel(env: Any) -> dict[str, Any]:
     return steps_of(observations, rewards, ends, outcomes)
 
 
-FULL = {"observation": "full"}  # of which the compact one, the default, is a part
+FULL = {"observation": "full"}  # of which the compact one, that of tasks, is a part
 VIEWS: dict[str, tuple[Callable[..., Any], Callable[[Any], Any], Any, Any]] = {
     "single": (
         lambda species, **o: gym.make(id_of(species), **FULL | o),
@@ -180,21 +181,22 @@ def id_of(species: str) -> str:
 
 
 def worlds() -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
-    """Every species through every view: as a task, as recorded, as in the paper, and wrapped."""
+    """Every species through every view: as recorded, as in the paper, wrapped, and as a task."""
     for species, spec in SPECIES.items():
         for view, (make, walk, dtw, flag) in VIEWS.items():
             kinds: dict[str, Callable[..., Any]] = {
-                "task": lambda s, make=make: make(s),
-                "full": lambda s, make=make: make(s, recorded=True),
-                "paper": lambda s, make=make: make(s, recorded=True, observation="paper"),
-                "dtw": lambda s, make=make, dtw=dtw: dtw(make(s, recorded=True)),
+                "full": lambda s, make=make: make(s),
+                "paper": lambda s, make=make: make(s, observation="paper"),
+                "dtw": lambda s, make=make, dtw=dtw: dtw(make(s)),
             }
+            if find_task(f"{species}Task") is not None:
+                kinds["task"] = lambda s, make=make: make(f"{s}Task")
             if view != "parallel":
-                kinds["scripted"] = lambda s, make=make: make(s, recorded=True, others="scripted")
+                kinds["scripted"] = lambda s, make=make: make(s, others="scripted")
             if len(spec.individuals) > 1 and view == "vector":
-                kinds["crowd"] = lambda s, make=make: make(s, recorded=True, **CROWD)
+                kinds["crowd"] = lambda s, make=make: make(s, **CROWD)
             if spec.conditions:
-                kinds["flag"] = lambda s, make=make, flag=flag: flag(make(s, recorded=True))
+                kinds["flag"] = lambda s, make=make, flag=flag: flag(make(s))
             for kind, made in kinds.items():
                 yield (
                     f"{species} {view} {kind}",

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from commands import animarl
-from pages import ROOT, blocks, run_programs
+from pages import ROOT, blocks, python, run_programs
 
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
@@ -25,16 +25,46 @@ def test_the_readme_and_its_moving_picture_are_small() -> None:
 def test_the_programs_of_the_readme_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Each in the environment of the last installation above it: all extras, or the core alone."""
     monkeypatch.chdir(tmp_path)
-    programs = blocks("README.md")
-    assert len(programs) == 2
-    for program in programs:
+    readme, environments = (ROOT / "README.md").read_text(), []
+    for program in blocks("README.md"):
         statements = [line for line in program.splitlines() if line and "import " not in line]
         assert len(statements) <= 10
-        exec(compile(program, "README.md", "exec"), {})
+        above = readme[: readme.index(program)]
+        environments.append(re.findall(r"pip install '?(\.[^'\s`]*)", above)[-1])
+        if environments[-1] == ".":
+            python(CORE_ALONE + program, cwd=tmp_path)
+        else:
+            exec(compile(program, "README.md", "exec"), {})
+    assert environments == [".[all]", ".", ".[all]"]
     assert capsys.readouterr().out.count("caught in") == 2
     assert Path("model.zip").exists()
 
+
+# Refuses what only the extras install, and the package that needs it.
+CORE_ALONE = """
+import importlib.metadata, re, sys
+core, to_add = set(), ["gymnasium", "numpy", "numba", "pettingzoo"]
+while to_add:
+    name = to_add.pop()
+    if name in core:
+        continue
+    core.add(name)
+    for one in importlib.metadata.requires(name) or ():
+        if "extra ==" not in one:
+            to_add.append(re.match(r"[\\w.-]+", one)[0].lower().replace("-", "_"))
+
+class CoreAlone:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        packages = importlib.metadata.packages_distributions().get(top, [])
+        own = {one.lower().replace("-", "_") for one in packages}
+        if top == "animarl_algos" or (own and not own & (core | {"animarl"})):
+            raise ModuleNotFoundError(f"No module named {top!r}", name=top)
+
+sys.meta_path.insert(0, CoreAlone())
+"""
 
 CONTRIBUTING = (ROOT / "docs" / "contributing.md").read_text()
 MOST_FILES = {"species": 2, "reader": 2, "recipe": 2, "metric": 1, "world": 2}

@@ -10,7 +10,7 @@ from refusals import refuses
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-from animarl_algos import BC, DQCIL, DQDIL, DQN, SlotVecEnv
+from animarl_algos import BC, DQAAS, DQCIL, DQDIL, DQN, SlotVecEnv
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run_settings import RunSettings, asked_species, environment_options
@@ -29,7 +29,7 @@ def test_every_front_door_takes_ids_and_names(name: str) -> None:
     assert environment_options(name) == {"species": "newt"}
     assert asked_species(name, name) == asked_species(None, name) == "newt"
     assert load_packaged(name).species == "newt" and model_folder(name).name == "newt"
-    assert DQN("GruPolicy", name, policy_kwargs=SMALL).layout.individuals[2] == "female"
+    assert DQN("GruPolicy", name, policy_kwargs=SMALL).observation_size == 64
 
 
 @pytest.mark.parametrize("name", ["AnimaRL/SilkmothMemory-v0", "SilkmothMemory"])
@@ -37,15 +37,16 @@ def test_an_id_may_stand_for_options(name: str) -> None:
     seen = parallel_env(name).observation_space("moth").shape
     assert seen == SlotVecEnv(name, 1).observation_space.shape == (2,)
     learner = DQN("MlpPolicy", name, policy_kwargs=SMALL)
-    assert learner.layout.condition_flag and learner.observation_size == 3
+    assert learner.observation_size == 2
 
 
 def test_an_id_may_name_its_module_as_gymnasium_has_it() -> None:
     assert SlotVecEnv("animarl_envs:AnimaRL/Newt-v0", 1).individuals[2] == "female"
 
 
-def test_a_learner_in_an_id_trains_all_individuals() -> None:
-    learner = DQDIL("GruPolicy", "AnimaRL/Newt-v0", seed=0, policy_kwargs={"hidden": 8})
+def test_a_learner_in_slots_trains_all_individuals() -> None:
+    slots = SlotVecEnv("AnimaRL/Newt-v0", 16)
+    learner = DQDIL("GruPolicy", slots, seed=0, policy_kwargs={"hidden": 8})
     assert learner.policy.individuals == ("male_0", "male_1", "female")
     before = [weight.clone() for weight in learner.policy.q_net.parameters()]
     learner.learn(500)
@@ -54,11 +55,6 @@ def test_a_learner_in_an_id_trains_all_individuals() -> None:
         assert any(
             not np.array_equal(a[individual].detach(), b[individual]) for a, b in zip(after, before)
         )
-
-
-def test_an_id_brings_the_condition_where_the_recordings_have_both() -> None:
-    learner = DQCIL("GruPolicy", "AnimaRL/Agent-v0", seed=0, policy_kwargs={"hidden": 8})
-    assert learner.layout.condition_flag
 
 
 @pytest.mark.parametrize("name", ["AnimaRL/Dodo-v0", "dodo"])
@@ -74,18 +70,21 @@ def test_every_learner_takes_demonstrations_as_they_are(name: str) -> None:
     kind, demos = RECIPES[name].algorithm, load_packaged("agent")
     epochs = {"offline_epochs": 1} if kind.recipe.offline else {}
     small = SMALL | ({"n_quantiles": 5} if kind.quantiles else {})
-    for env in ("agent", SlotVecEnv("agent", 1, demos=demos, condition_flag=True)):
+    every = SlotVecEnv("agent", 1, demos=demos, condition_flag=True)
+    plainly = not (kind.recipe.needs_distance or kind.recipe.needs_alignment)
+    for env in (every, "agent") if plainly else (every,):
         model = kind(
             "MlpPolicy", env, demonstrations=demos, policy_kwargs=small, device="cpu", **epochs
         )
         if epochs:
             data = model.demonstration_data()
-            assert data.learners == ("predator_0", "predator_1", "prey")
+            every_name = ("predator_0", "predator_1", "prey")
+            assert data.learners == (every_name if env is every else every_name[:1])
             assert "test" not in data.demos.split
 
 
 def test_one_individual_learns_from_demonstrations_as_they_are() -> None:
-    env = gym.make("AnimaRL/Newt-v0", recorded=True, observation="full", focal="female")
+    env = gym.make("AnimaRL/Newt-v0", observation="full", focal="female")
     demos = load_packaged("newt")
     model = BC("MlpPolicy", env, demonstrations=demos, offline_epochs=1, policy_kwargs=SMALL)
     assert model.demonstration_data().learners == ("female",)
@@ -126,8 +125,10 @@ SHOWN = load_packaged("newt")
 @pytest.mark.parametrize(
     ("learner", "env", "more", "words"),
     [
-        (DQDIL, "CartPole-v1", {}, "needs the distance .* learn in a SlotVecEnv"),
-        (DQDIL, gym.make("AnimaRL/Newt-v0"), {}, "needs the distance .* learn in a SlotVecEnv"),
+        (DQDIL, "CartPole-v1", {}, r"needs the distance .* learn in SlotVecEnv\("),
+        (DQDIL, gym.make("AnimaRL/Newt-v0"), {}, r'needs the distance .*SlotVecEnv\("newt"\)'),
+        (DQAAS, "newt", {}, r'aligned .*SlotVecEnv\("newt"\), or .*focal="male_0"\)'),
+        (DQCIL, "newt", {}, r'SlotVecEnv\("newt", condition_flag=True\)'),
         (BC, "fly", {"demonstrations": SHOWN}, "newt, not of fly"),
         (BC, SlotVecEnv("fly", 1), {"demonstrations": SHOWN}, "newt, not of fly"),
         (BC, "CartPole-v1", {"demonstrations": SHOWN}, "none of AnimaRL's"),

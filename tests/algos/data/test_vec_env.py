@@ -40,7 +40,7 @@ def test_slots_are_the_individuals_of_the_parallel_view() -> None:
     venv = SlotVecEnv("agent", copies, dtw=None, **options)
     venv.seed(7)
     observations = venv.reset()
-    views = [animarl_envs.parallel_env("agent", recorded=True, **options) for _ in range(copies)]
+    views = [animarl_envs.parallel_env("agent", **options) for _ in range(copies)]
     streams = np.random.SeedSequence(7).generate_state(copies, np.uint64)
     expected = [view.reset(seed=int(streams[b]))[0] for b, view in enumerate(views)]
     rng = np.random.default_rng(0)

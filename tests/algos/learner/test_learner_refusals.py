@@ -333,7 +333,7 @@ def test_whole_numbers_may_be_written_as_floats() -> None:
 
 
 def test_named_demonstrations_serve_an_environment_without_names() -> None:
-    prey = {"focal": "prey", "recorded": True, "observation": "full"}
+    prey = {"focal": "prey", "observation": "full"}
     single = DTWReward(gym.make("AnimaRL/Agent-v0", **prey))
     shown = SlotVecEnv("agent", 1, focal="prey").offline_data()
     model = DQDIL("GruPolicy", single, demonstrations=shown, offline_epochs=1, device="cpu")

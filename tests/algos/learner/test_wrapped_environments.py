@@ -58,8 +58,8 @@ def paid_alike(env: Any) -> Any:
     "env",
     [
         lambda: Pays(SlotVecEnv("agent", 2)),
-        lambda: paid_alike(gym.make("AnimaRL/Agent-v0", recorded=True)),
-        lambda: paid_alike(DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True))),
+        lambda: paid_alike(gym.make("AnimaRL/Agent-v0")),
+        lambda: paid_alike(DTWReward(gym.make("AnimaRL/Agent-v0"))),
     ],
 )
 def test_the_reward_of_a_step_is_learned_from(env: Any) -> None:
@@ -80,7 +80,7 @@ def test_names_of_another_package_mean_nothing() -> None:
     "env",
     [
         lambda: Pays(SlotVecEnv("agent", 2)),
-        lambda: paid_alike(DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True))),
+        lambda: paid_alike(DTWReward(gym.make("AnimaRL/Agent-v0"))),
     ],
 )
 def test_a_recipe_that_shapes_the_reward_refuses_one_that_a_wrapper_changed(env: Any) -> None:
@@ -88,14 +88,14 @@ def test_a_recipe_that_shapes_the_reward_refuses_one_that_a_wrapper_changed(env:
 
 
 def test_two_weights_of_the_distance_are_refused() -> None:
-    env = DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True), alpha=50.0)
+    env = DTWReward(gym.make("AnimaRL/Agent-v0"), alpha=50.0)
     sentence = "alpha is 50.0 of the environment's DTW reward and 1.0 of the learner"
     refuses(sentence, DQDIL, "MlpPolicy", env, **FEW)
     DQDIL("MlpPolicy", env, **FEW, alpha=50.0).learn(20)
 
 
 def flagged() -> Any:
-    return ConditionFlag(DTWReward(gym.make("AnimaRL/Agent-v0", recorded=True)))
+    return ConditionFlag(DTWReward(gym.make("AnimaRL/Agent-v0")))
 
 
 @pytest.mark.parametrize(

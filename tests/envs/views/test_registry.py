@@ -24,7 +24,8 @@ import animarl_envs
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import CUSTOM, SPECIES, VARIANTS, resolve_variant
+from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.tasks import TASKS, find_task
 from animarl_envs.worlds import make_world
 from animarl_envs.wrappers import (
     ConditionFlag,
@@ -43,7 +44,7 @@ pytestmark = [
     pytest.mark.usefixtures("_garbage_collected"),
 ]
 
-NAMES = (*SPECIES, CUSTOM, *VARIANTS)
+NAMES = (*SPECIES, CUSTOM, *TASKS)
 WRAPPERS: dict[str, tuple[tuple[Any, Any, Any], ...]] = {  # single, vector, parallel
     "bare": (),
     "dtw": ((DTWReward, DTWRewardVector, DTWRewardParallel),),
@@ -64,9 +65,11 @@ class Case:
 
     @property
     def options(self) -> dict[str, Any]:
-        species = str(resolve_variant(self.name, {})[0])
+        task = find_task(self.name)
+        species = self.name if task is None else task.base.name
         made = dogs(2) if species == CUSTOM else recordings_of(species)
-        return {"demos": made if self.recorded else None, "condition": self.condition}
+        start = {"start": "demo"} if self.recorded and task is not None else {}
+        return {"demos": made if self.recorded else None, "condition": self.condition} | start
 
     def single(self, **more: Any) -> gym.Env[Any, Any]:
         env = gym.make(animarl_envs.environment_id(self.name), **self.options, **more)
@@ -93,7 +96,9 @@ class Case:
 
 def table() -> Iterator[Case]:
     for name, recorded, wrappers in itertools.product(NAMES, (True, False), WRAPPERS):
-        two = name in SPECIES and bool(SPECIES[name].conditions)
+        task = find_task(name)
+        species = SPECIES.get(name) if task is None else task.base
+        two = species is not None and bool(species.conditions)
         if name == CUSTOM and not recorded:
             continue  # it is made from its demonstrations
         if "dtw" in wrappers and not recorded:

@@ -1,4 +1,4 @@
-"""The tasks that the views are by default: opponents act, time costs, starts lie all around."""
+"""The tasks: opponents act, time costs, starts lie all around."""
 
 import sys
 from typing import Any
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from refusals import refuses
 
 import animarl_envs
-from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.species import SILKMOTH, SPECIES
 from animarl_envs.species.options import with_options
+from animarl_envs.tasks import TASKS
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 from animarl_envs.wrappers import DTWReward
 
@@ -22,8 +22,8 @@ CHASES = ("agent", "fly", "newt")
 COPIES = 100
 
 
-def make(name: str, **options: Any) -> Any:
-    made = gym.make_vec(f"AnimaRL/{name.capitalize()}-v0", num_envs=COPIES, **options)
+def make(name: str, kind: str = "Task", **options: Any) -> Any:
+    made = gym.make_vec(f"AnimaRL/{name.capitalize()}{kind}-v0", num_envs=COPIES, **options)
     return made.unwrapped
 
 
@@ -47,7 +47,7 @@ def constant(action: int) -> Any:
 @pytest.mark.parametrize("name", CHASES)
 def test_tasks_are_not_solved_by_heading_for_the_target(name: str) -> None:
     """Straight at a target that replays its recording, or a few degrees beside it, catches it."""
-    recorded, _ = first_episodes(make(name, recorded=True), constant(0))
+    recorded, _ = first_episodes(make(name, kind=""), constant(0))
     assert recorded.mean() > 0.5
     for action in (0, 1, 11):
         _, outcome = first_episodes(make(name), constant(action))
@@ -65,24 +65,30 @@ def test_tasks_have_opponents_that_act_and_a_cost_of_time(name: str) -> None:
     reward = env.step(np.zeros(COPIES, dtype=int))[1]
     assert set(reward) <= {-cost, 1.0 - cost}
     assert np.mean(reward == -cost) > 0.9
-    world = make(name, recorded=True, observation="full")
+    world = make(name, kind="")
     assert world.scenario.drivers == ("action", "replay", "replay")
     assert world.scenario.species == SPECIES[name]
 
 
 def test_tasks_keep_what_the_caller_says() -> None:
-    env = animarl_envs.parallel_env("agent", boundary_penalty=-2.0, time_cost=0.0)
-    said = {"boundary_penalty": -2.0, "observation": "compact", "locomotion": {"prey": 1.3}}
-    assert env.scenario.species == with_options(SPECIES["agent"], **said)
+    task, given = TASKS["AgentTask"].species, {"boundary_penalty": -2.0, "time_cost": 0.0}
+    env = animarl_envs.parallel_env("AgentTask", **given)
+    assert env.scenario.species == with_options(task, **given)
     assert make("fly", contact_radius=0.3).scenario.species.contact_radius == 0.3
-    prey = animarl_envs.parallel_env("agent", locomotion={"prey": 1.0}).scenario.species
-    assert prey.locomotion == SPECIES["agent"].locomotion
-    several = animarl_envs.parallel_env("fly", num_targets=2, start="uniform").scenario.species
+    several = animarl_envs.parallel_env("flytask", num_targets=2, start="uniform").scenario.species
     assert several.locomotion[-1] == SPECIES["fly"].locomotion[0]
-    own = animarl_envs.parallel_env("fly", demos=load_packaged("fly")).scenario.species
-    assert own.locomotion == SPECIES["fly"].locomotion
+    assert several.locomotion[0] == TASKS["FlyTask"].species.locomotion[-1]
     free = gym.make("AnimaRL/Shoal-v0").unwrapped
     assert free.scenario.drivers[1:] == ("replay",) * 11  # type: ignore[attr-defined]
+
+
+def test_tasks_lose_nothing_to_options_beside_it() -> None:
+    larger = animarl_envs.parallel_env("AgentTask", arena=1.5).scenario.species
+    assert larger.arena.rebound and larger.arena.size == 1.5
+    faster = animarl_envs.parallel_env("AgentTask", locomotion={"predator_0": 1.1}).scenario.species
+    own = SPECIES["agent"].locomotion
+    ratios = [a.thrust / b.thrust for a, b in zip(faster.locomotion, own, strict=True)]
+    assert ratios == pytest.approx([1.1, 1.0, 1.3])
 
 
 def test_tasks_of_a_moth_start_on_all_sides_of_the_source() -> None:
@@ -121,7 +127,7 @@ def test_tasks_for_memory_show_the_hits_of_this_step_alone() -> None:
 
 
 def test_tasks_without_recorded_starts_refuse_the_reward_of_recordings() -> None:
-    refuses("recorded=True", DTWReward, gym.make("AnimaRL/Silkmoth-v0"))
+    refuses("start='demo'", DTWReward, gym.make("AnimaRL/SilkmothTask-v0"))
 
 
 def test_gymnasiums_checker_passes_without_the_extra_for_pictures(

@@ -203,8 +203,8 @@ def test_spec_of_options_lists_all_of_a_view_and_what_may_be_meant(view: Any) ->
 
 
 def test_same_step_hands_out_the_last_observation() -> None:
-    vector = AnimalVectorEnv("agent", 8, recorded=True, autoreset_mode=AutoresetMode.SAME_STEP)
-    waiting = AnimalVectorEnv("agent", 8, recorded=True)
+    vector = AnimalVectorEnv("agent", 8, autoreset_mode=AutoresetMode.SAME_STEP)
+    waiting = AnimalVectorEnv("agent", 8)
     vector.reset(seed=0)
     waiting.reset(seed=0)
     for _ in range(40):

@@ -309,8 +309,8 @@ def test_what_is_made_by_a_name_observes_compactly_and_a_spec_as_it_says(name: s
     full = SlotVecEnv(name, 1, demos=None)  # learners ask for what clones need
     for world in (
         full.world,
-        parallel_env(spec, recorded=True).world,
-        gym.make(id_, species=spec, recorded=True).unwrapped.world,
+        parallel_env(spec).world,
+        gym.make(id_, species=spec).unwrapped.world,
     ):
         assert world.observation.shape[-1] == len(observation_components(spec)) > compact
 

@@ -97,7 +97,7 @@ def test_other_peoples_environments_are_refused() -> None:
 def test_the_world_changes_without_the_cue(condition: int, paid: float, cue: Any) -> None:
     """Who is paid for a capture follows the world's condition, whatever is told."""
     start = [[0.45, 0.0], [0.0, 0.4], [0.54, 0.0]]
-    options = {"start": start, "condition": condition, "recorded": True}
+    options = {"start": start, "condition": condition}
     plain = animarl_envs.parallel_env("agent", demos=None, **options)
     env = ConditionFlagParallel(plain, cue=cue)
     observations, _ = env.reset(seed=0)
@@ -145,7 +145,7 @@ def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_las
     focal: str, alpha: float
 ) -> None:
     """The prey coasts, so that it outlives its recording: there its pay for lasting is refunded."""
-    agent = gym.make("AnimaRL/Agent-v0", focal=focal, others="coast", recorded=True)
+    agent = gym.make("AnimaRL/Agent-v0", focal=focal, others="coast")
     env = DTWReward(agent, alpha)
     scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
     rng, outlived = np.random.default_rng(1), 0
