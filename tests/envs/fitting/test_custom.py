@@ -24,6 +24,7 @@ from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH, ChaseSpecies, SearchSpecies
 from animarl_envs.views import AnimalVectorEnv
+from animarl_envs.worlds import observation_components
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 pytestmark = [
@@ -54,7 +55,8 @@ def test_registry_custom_search_has_the_moths_senses() -> None:
     assert isinstance(spec, SearchSpecies)
     assert (spec.individuals, spec.dt, spec.arena.size) == (("beetle",), 0.4, 0.4)
     assert (spec.conditions, spec.warmup) == (SILKMOTH.conditions, 0)
-    assert gym.make_vec(ID, num_envs=2, demos=search()).reset(seed=0)[0].shape == (2, 12)
+    seen = gym.make_vec(ID, num_envs=2, demos=search()).reset(seed=0)[0]
+    assert seen.shape == (2, len(observation_components(spec)))
     seen = gym.make_vec(ID, num_envs=2, demos=search(), observation="paper").reset(seed=0)[0]
     assert seen.shape == (2, 10)
 

@@ -154,7 +154,7 @@ def test_a_lossy_movie_gives_nearly_the_same_hits_and_a_moth_smells_it(tmp_path:
     exact = Plume.from_array(frames, **given).pattern_table(0, 0.5, 0.0)
     same = [found.unpack(0, s) == exact.unpack(0, s) for s in range(6)]
     assert np.mean(same) > 0.98
-    env = gym.make("AnimaRL/Silkmoth-v0", plume=plume, demos=None)
+    env = gym.make("AnimaRL/Silkmoth-v0", plume=plume, demos=None, observation="compact")
     env.reset(seed=0)
     signals = np.stack([env.step(0)[0][3:5] for _ in range(10)])
     assert (signals == 1.0).any()
