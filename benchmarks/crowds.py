@@ -78,7 +78,8 @@ def kinds() -> list[tuple[str, Callable[[int], Made], bool]]:
 
 def options(pursuers: int) -> dict[str, Any]:
     """Nobody touches anybody, nobody leaves."""
-    return {"demos": None, "num_pursuers": pursuers, "arena": "open", "contact_radius": 1e-9}
+    world = {"demos": None, "num_pursuers": pursuers, "arena": "open", "contact_radius": 1e-9}
+    return world | {"observation": "compact"}
 
 
 def single(pursuers: int) -> Made:

@@ -149,8 +149,8 @@ What to know:
   neither padding nor `black_death`.
 - The first step on a machine compiles for some seconds and says so; `animarl compile` does it
   beforehand, for all species.
-- Observations are compact by default, 10 to 20 numbers for a chase; `observation="full"` gives what
-  this package's own models see.
+- Tasks, such as `AnimaRL/AgentTask-v0`, have compact observations, 10 to 20 numbers for a chase.
+  Animals' worlds show all that this package's own models see; `observation="compact"` shortens it.
 - `infos` of the parallel view have the same flat numbers at reset and at every step.
   `env.state()`, in `state_space`, is the positions and velocities of all. `env.scenario_data`
   describes the world.
