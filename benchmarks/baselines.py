@@ -40,7 +40,8 @@ from tasks import SHOWN, Rows, SlotsOnly, parsed_arguments, write_table
 
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.scenario import make_scenario
-from animarl_envs.tasks import TASKS as ALL_TASKS
+from animarl_envs.species import Species
+from animarl_envs.tasks import find_task
 from animarl_envs.worlds import make_world
 
 TASKS = ("AgentTask", "FlyTask", "NewtTask")
@@ -51,11 +52,18 @@ Act = Callable[[NDArray[np.float32]], NDArray[np.int64]]
 """Actions ``(B, P)`` of all pursuers from what they see, ``(B, P, n)``."""
 
 
+def animals(task: str) -> Species:
+    """The species of a task, whose name may be in capitals or not."""
+    found = find_task(task)
+    assert found is not None
+    return found.base
+
+
 class Team:
     """Copies of a task's world; observations ``(B, P, n)``, actions and rewards ``(B, P)``."""
 
     def __init__(self, task: str, copies: int, seed: int) -> None:
-        species = ALL_TASKS[task].base
+        species = animals(task)
         shared = {"condition": 1} if getattr(species, "shared_reward", False) else {}
         drivers = {
             name: "scripted"
@@ -123,13 +131,13 @@ def mean_return(task: str, act: Act, episodes: int) -> float:
 
 def random_row(task: str, episodes: int) -> float:
     """Actions drawn at random."""
-    count, rng = ALL_TASKS[task].base.num_actions, np.random.default_rng(0)
+    count, rng = animals(task).num_actions, np.random.default_rng(0)
     return mean_return(task, lambda seen: rng.integers(count, size=seen.shape[:2]), episodes)
 
 
 def shown_row(task: str) -> float:
     """What the pursuers' packaged episodes would have been paid, the mean over pursuers."""
-    team, demos = Team(task, 1, 0), load_packaged(ALL_TASKS[task].base.name).select(split="train")
+    team, demos = Team(task, 1, 0), load_packaged(animals(task).name).select(split="train")
     species = team.world.scenario.species
     touched = (demos.outcome > 0).astype(float)
     touched /= 1 if getattr(species, "shared_reward", False) else len(team.pursuers)

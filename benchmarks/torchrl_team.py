@@ -59,7 +59,7 @@ class TeamEnv(EnvBase):  # type: ignore[misc]
 
 
 class TeamTask(TaskClass):  # type: ignore[misc]
-    """A team as BenchMARL's task; its name is the species in capitals."""
+    """A team as BenchMARL's task; its name is ours in capitals."""
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any

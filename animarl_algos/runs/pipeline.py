@@ -37,7 +37,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
-from animarl_envs.scenario import PACKAGED
+from animarl_envs.scenario import PACKAGED, make_scenario
 
 
 def open_run(
@@ -107,8 +107,13 @@ def fit(run: Run) -> LocomotionFit:
             thrusts = int(settings.thrusts)
         elif method == "joint":
             thrusts = choose_thrusts(demos, seed=settings.seed)[0]
+        world = make_scenario(settings.species, demos=demos) if method == "species" else None
         result = fit_locomotion(
-            demos, method, seed=settings.seed, thrusts=thrusts, base=settings.species
+            demos,
+            method,
+            seed=settings.seed,
+            thrusts=thrusts,
+            known=() if world is None else world.species.locomotion,
         )
         result.save(file)
         return result

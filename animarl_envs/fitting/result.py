@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -25,7 +26,6 @@ from animarl_envs.fitting.transitions import (
     velocity_rmse,
 )
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES
 
 Method = Literal["joint", "onset", "noise", "species"]
@@ -123,7 +123,7 @@ def fit_locomotion(
     split: str | None = "train",
     bootstrap: int = BOOTSTRAP,
     seed: int = 0,
-    base: str | None = None,
+    known: Sequence[Locomotion] = (),
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
@@ -149,8 +149,8 @@ def fit_locomotion(
         Resamples of episodes for the intervals; 0 leaves them out.
     seed
         Of the resampling.
-    base
-        Species of method ``"species"``, by name; by default that of the demonstrations.
+    known
+        Parameters of each individual, for method ``"species"``.
     """
     if method not in get_args(Method):
         raise InputError(f"method {method!r} is unknown: choose joint, onset, noise or species")
@@ -170,7 +170,7 @@ def fit_locomotion(
     weights = resampling_weights(training.num_episodes, bootstrap, seed)
     joint = joint_locomotion(training, thrusts) if method == "joint" else ()
     if method == "species":
-        joint = make_scenario(base or demos.species, demos=demos).species.locomotion
+        joint = tuple(known)
     fits: list[IndividualFit] = []
     for i, name in enumerate(demos.individuals):
         if fits and demos.is_group:  # animals that are alike have one locomotion

@@ -199,7 +199,7 @@ def test_a_benchmark_starts_as_a_script(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_team_learns_and_is_scored(tmp_path: Path) -> None:
     command = [
-        ROOT / "benchmarks" / "baselines.py", "--quick", "--task", "agent", "--out", tmp_path,
+        ROOT / "benchmarks" / "baselines.py", "--quick", "--task", "AgentTask", "--out", tmp_path,
     ]  # fmt: skip
     learners = ["--learner", "PPO", "--learner", "DQN"]
     subprocess.run([sys.executable, "-W", "ignore", *command, *learners], check=True, cwd=tmp_path)

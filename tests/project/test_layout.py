@@ -31,6 +31,7 @@ ROOMS = (
     "animarl_envs.focus",
     "animarl_envs.worlds.plume",  # numbers of a plume, which the silk moth's spec refers to
     "animarl_envs.species",
+    "animarl_envs.tasks",
     "animarl_envs.demos",
     "animarl_envs.fitting",
     "animarl_envs.importing",
