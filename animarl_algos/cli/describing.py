@@ -26,6 +26,7 @@ from animarl_envs.fitting.custom_species import MAY_BE_BEYOND, share_beyond
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import available_readers
 from animarl_envs.importing.sessions import GROUPS
+from animarl_envs.importing.tracks import TOGETHER_AT_MOST, TRACKS
 from animarl_envs.species import CUSTOM
 
 Row = tuple[str, str]
@@ -33,6 +34,8 @@ UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
 STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
 SMOOTH = 2.0  # cutoff against such noise [Hz]
 SHOWN_COLUMNS = 8
+CM = {"mm": 0.1, "cm": 1.0, "m": 100.0}
+FAST_LENGTHS, FAST_CM = 8.0, 1500.0  # a second; few animals are faster, unless they fly
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
@@ -122,6 +125,15 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
     return list((rows | {name: listed(part) for name, part in parts.items()}).items())
 
 
+def describe_frame_rate(demos: Demonstrations) -> str:
+    """Return the frame rate of the recordings, and what says so."""
+    stated = demos.provenance["frame_rate"]
+    rates, slow = stated["hz"], max(stated["hz"]) < 1
+    shown = [f"{1 / rate if slow else rate:.6g}" for rate in (min(rates), max(rates))]
+    span = " to ".join(dict.fromkeys(shown))
+    return f"{f'one frame every {span} s' if slow else f'{span} frames/s'}, from {stated['from']}"
+
+
 def _arena(demos: Demonstrations) -> str:
     arena, sizes = demos.arena, sorted(_unit_sizes(demos))
     words = {"square": "square, half side 1", "disc": "disc, radius 1", "open": "open field"}
@@ -168,6 +180,8 @@ def hints(demos: Demonstrations) -> list[str]:
             f"{_unit_name(demos)}, by recording, so speeds of different recordings do not compare: "
             "leave --scale-each out, or give one --arena-width"
         )
+    if question := _question_speed(demos):
+        found.append(question)
     if ignored := told.get("metadata_ignored"):
         found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
     if unused := told.get("columns_not_used"):
@@ -280,6 +294,27 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
             "so no wall stands there, and leaving the boundary ends a simulated episode: "
             "otherwise give a wider --arena-width"
         )
+    if lost := demos.provenance.get("lost"):
+        marks = ", ".join(f"{place} ({counted(n, 'point')})" for place, n in lost.items())
+        found.append(
+            f"positions that trackers write of lost animals are taken for gaps: {marks}: correct "
+            "them in the file if an animal was there"
+        )
+    names = demos.provenance.get("lone_animals")
+    if names:
+        found.append(
+            f"{', '.join(names[:SHOWN_COLUMNS])}{', ...' * (len(names) > SHOWN_COLUMNS)} are each "
+            f"alone in their recording, and taken for animals that are alike: if the files are of "
+            "one recording, give --merge-individuals"
+        )
+    tracks, together = (demos.provenance.get(key) for key in (TRACKS, TOGETHER_AT_MOST))
+    if tracks:
+        found.append(
+            f"{tracks} tracks come and go, up to {together} at a time, so each is taken for a "
+            f"recording of one animal that sees no other ({len(np.unique(demos.recording))} are "
+            "long enough): if they are fragments of the tracks of a group, join them in the "
+            "tracker, or name animals that are there throughout by --individuals"
+        )
     most, used = (demos.provenance.get(key) for key in ("animals_tracked", "share_used"))
     keep_more = "fill gaps by --max-gap, or choose a shorter --piece, to keep more"
     share = f"{100 * used:.0f} % of what was tracked is used" if used else ""
@@ -318,6 +353,22 @@ def _unit_sizes(demos: Demonstrations) -> list[float]:
 
 def _unit_name(demos: Demonstrations) -> str:
     return str(demos.provenance.get("unit", "units of the file"))
+
+
+def _question_speed(demos: Demonstrations) -> str | None:
+    """Ask about speeds that hardly any animal of that size reaches."""
+    unit, length = unit_of(demos), demos.provenance.get("body_length", math.nan)
+    speed = float(np.quantile(np.linalg.norm(demos.velocities(), axis=2), 0.99))
+    scale, lengths = unit.per_arena_unit, speed / length
+    if not (lengths > FAST_LENGTHS or speed * scale * CM.get(unit.name, math.nan) > FAST_CM):
+        return None
+    size = f" ({lengths:.3g} body lengths of {length * scale:.3g} {unit.name})"
+    size *= math.isfinite(lengths)
+    return (
+        f"IS THE FRAME RATE RIGHT? The fastest hundredth of steps reaches {speed * scale:.3g} "
+        f"{unit.name}{size} a second at {describe_frame_rate(demos)}: films that are played faster "
+        "or slower than they were recorded say a wrong rate; give the right one by --fps"
+    )
 
 
 # -- the terminal ---------------------------------------------------------------------------------

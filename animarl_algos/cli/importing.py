@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from animarl_algos.cli.describing import (
+    describe_frame_rate,
     found_by_itself,
     hints,
     report,
@@ -102,6 +103,7 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
             bar.update(task, completed=share, description=doing)
 
         demos = follow(plan, files, told)
+    wide_console().print(describe_frame_rate(demos))
     if dry_run:
         show_rows("What is understood", understood(plan, reader.name, files))
     report(demos, None if dry_run else out, plan)

@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from animarl_envs.importing.cutting import (
     in_pieces,
 )
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
+from animarl_envs.importing.lost_animals import default_confidence, mark_lost
 from animarl_envs.importing.sessions import (
     AUTO,
     TARGET,
@@ -34,7 +36,17 @@ from animarl_envs.importing.sessions import (
     assign_roles,
     load_sessions,
 )
-from animarl_envs.importing.tracks import Tracks, each_alone, in_groups
+from animarl_envs.importing.tracks import (
+    RATE_FROM,
+    TOGETHER_AT_MOST,
+    TRACKS,
+    Tracks,
+    body_length,
+    in_groups,
+    split_individuals,
+    trim,
+    with_common_names,
+)
 from animarl_envs.locomotion import shorter_turn
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
@@ -67,11 +79,25 @@ def demonstrations_from_tracks(
             )
             break
     sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
-    named = [sessions.apply(apply_names(tracks, recipe)) for tracks in recordings]
+    marked, lost = mark_lost(recordings)
+    named = [trim(sessions.apply(apply_names(tracks, recipe))) for tracks in marked]
     several = any(len(tracks.individuals) > 2 for tracks in named)
     free = recipe.target is None or (recipe.target == AUTO and several)
+    free = free and not sessions.state_roles
     if free and recipe.pursuer is None and recipe.individuals is None and not recipe.searcher:
-        named = [alone for tracks in named for alone in each_alone(tracks)]
+        named = [alone for tracks in named for alone in split_individuals(tracks)]
+        require(
+            named,
+            f"{name}: no animal is seen in two frames or more, so none of them moves: see to the "
+            "column of individuals, which should name the same animal in every frame",
+        )
+    kept = (TRACKS, TOGETHER_AT_MOST)
+    notes = {key: one.provenance[key] for one in named for key in kept if key in one.provenance}
+    if free or all(len(tracks.individuals) == 1 for tracks in named):
+        alike = with_common_names(named)
+        if len(alike[0].individuals) == 1 and alike != named:
+            notes["lone_animals"] = list(dict.fromkeys(one.individuals[0] for one in named))
+        named = alike
     cleaned, done = _cleaned(named, recipe, sessions)
     cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
@@ -110,6 +136,8 @@ def demonstrations_from_tracks(
     def joined(key: str, kind: Any = None) -> NDArray[Any]:
         return np.array([one[key] for one in episodes], dtype=kind)
 
+    length = body_length(marked)
+    per_cm = sessions.of(named[0].recording).px_per_cm or recipe.scaling.px_per_cm or 1.0
     rate = recipe.decision_rate or scaled[0].frame_rate
     assert rate is not None
     most = max(len(tracks.individuals) for tracks in named)
@@ -141,6 +169,10 @@ def demonstrations_from_tracks(
             },
             "cleaning": done,
             "ends": _ends(cutting, scaled, joined("outcome")),
+            "frame_rate": _stated_rates(recordings, recipe),
+            **notes,
+            **({} if length is None else {"body_length": length / (scales[0].unit * per_cm)}),
+            **({"lost": dict(total)} if (total := sum(map(Counter, lost), Counter())) else {}),
             **({} if most == len(individuals) else {"animals_tracked": most}),
             **({} if used >= NEARLY_ALL * tracked else {"share_used": used / tracked}),
             **({} if cutting == recipe.cutting else {"contact_radius": cutting.contact}),
@@ -155,8 +187,9 @@ def _cleaned(
 ) -> tuple[list[Tracks], dict[str, dict[str, Any]]]:
     """Return clean recordings, in cm where their scale is known, and what was done to each."""
     cleaned, done = [], {}
+    likely = default_confidence(named)
     for tracks in named:
-        tracks, told = clean(tracks, recipe.cleaning)
+        tracks, told = clean(tracks, recipe.cleaning, likely)
         done[tracks.recording] = told | {"episodes": 0, "too_short": 0}
         per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         if per_cm is not None:
@@ -167,6 +200,14 @@ def _cleaned(
             tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
         cleaned.append(tracks)
     return cleaned, done
+
+
+def _stated_rates(recordings: Sequence[Tracks], recipe: ImportRecipe) -> dict[str, Any]:
+    """Return the frame rates [Hz] of the recordings, and what says so."""
+    if recipe.frame_rate is not None:
+        return {"hz": [recipe.frame_rate], "from": "--fps"}
+    rates = {one.frame_rate for one in recordings if one.frame_rate is not None}
+    return {"hz": sorted(rates), "from": recordings[0].provenance.get(RATE_FROM, "the file")}
 
 
 def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> dict[str, Any]:
@@ -255,7 +296,7 @@ def _cuts(
     cutting, piece = recipe.cutting, recipe.cutting.piece
     rates = [tracks.frame_rate or 1.0 for tracks in scaled]
     found = [
-        cut_episodes(tracks.bodies, roles, rate, cutting, tracks.recording)
+        cut_episodes(tracks.bodies, roles, rate, cutting, tracks.recording, tracks.start)
         for tracks, rate in zip(scaled, rates, strict=True)
     ]
     if cutting.mode != "whole":

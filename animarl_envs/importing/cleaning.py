@@ -28,7 +28,6 @@ Floats = NDArray[np.float64]
 
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
 SHOWN_JUMPS = 20
-LIKELY = 0.6  # below it a likelihood is not believed by default, as in DeepLabCut's own plots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +71,12 @@ class Cleaning:
         check_options(self)
 
 
-def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
-    """Clean one recording; returns it with one keypoint per individual, and what was done.
+def clean(
+    tracks: Tracks, settings: Cleaning, likely: float | None = None
+) -> tuple[Tracks, dict[str, Any]]:
+    """Return a clean recording with one keypoint per individual, and what was done.
 
+    Keypoints of a likelihood below ``likely`` are not used unless the settings state a threshold.
     Where gaps were filled, a signal says at which frames and of whom.
     """
     if tracks.frame_rate is None:
@@ -82,9 +84,14 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     done: dict[str, Any] = {"frames": len(tracks)}
     rate, positions = tracks.frame_rate, tracks.positions
     longest = round(settings.max_gap * rate)
-    limit = _least_confidence(tracks, settings.min_confidence)
+    stated = settings.min_confidence
+    require(
+        tracks.confidence is not None or (stated or 0) <= 0,
+        f"{tracks.recording}: it holds no confidence: leave the threshold out",
+    )
+    limit = likely if stated is None else stated if stated > 0 else None
     if limit is not None and tracks.confidence is not None:
-        unknown = np.isnan(tracks.confidence) & (settings.min_confidence is None)
+        unknown = np.isnan(tracks.confidence) & (stated is None)
         weak: NDArray[np.bool_] = np.logical_not((tracks.confidence >= limit) | unknown)
         positions = np.where(weak[..., None], np.nan, positions)
         done["below_confidence"] = int(weak.sum())
@@ -150,25 +157,11 @@ def _headings(tracks: Tracks, positions: Floats, settings: Cleaning) -> Floats |
     return told.astype(np.float64)
 
 
-def _least_confidence(tracks: Tracks, stated: float | None) -> float | None:
-    """Below which keypoints are not used; ``None``: all are."""
-    if stated is None:
-        if tracks.confidence is None or np.isnan(tracks.confidence).all():
-            return None
-        least, most = float(np.nanmin(tracks.confidence)), float(np.nanmax(tracks.confidence))
-        return LIKELY if least >= 0 and most <= 1 else None
-    require(
-        tracks.confidence is not None or stated <= 0,
-        f"{tracks.recording}: it holds no confidence: leave the threshold out",
-    )
-    return stated if stated > 0 else None
-
-
 def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
     """The first of the flagged frames: frame, time [s] and names."""
     rate = tracks.frame_rate or 1.0
     return [
-        {"frame": frame, "time": round(frame / rate, 3),
+        {"frame": tracks.start + frame, "time": round((tracks.start + frame) / rate, 3),
          "individuals": [tracks.individuals[i] for i in who]}
         for frame, *who in found[:SHOWN_JUMPS].tolist()
     ]  # fmt: skip

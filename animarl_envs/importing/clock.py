@@ -1,9 +1,12 @@
 """One clock: the frame rate and the frame numbers that a file's times imply, or why there are none.
 
-Times are in seconds, frames are whole numbers. A rate below 1 Hz is kept as a whole period.
+Times are in seconds, frames are whole numbers. Above 1 Hz a rate is whole where that fits, below it
+the period is. Times of no stated unit are not taken for seconds where no camera is so slow or fast.
 """
 
+import shlex
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,20 +24,164 @@ LARGEST_FRAME = 2**31
 CLEARLY = 0.1  # of a frame: how far a step is from whole frames that tells the rate
 ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
 FEW_FRAMES = 3  # steps of more do not tell the rate
+PAUSES = 0.1  # share of steps from frame to frame that may take another time, as of a paused camera
 IRREGULAR, MANY = 0.01, 20  # share and number of steps off whole frames: fewer are wrong times
 LONGEST_STEP = 2.5  # usual steps; longer ones of an irregular clock are gaps
 FINE = 5  # roundings in a usual step; fewer do not tell a clock that ticks unevenly
-SLOWEST, FASTEST = 0.2, 2000.0  # [Hz] that recordings of animals have
+SLOWEST, FASTEST = 1.0, 1000.0  # [Hz] of cameras, the first excluded: it is of frame numbers
 IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
 DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"
 
 
+@dataclass(frozen=True)
+class Clock:
+    """The clock of a table's rows.
+
+    ``rate`` is in Hz, ``frames`` are the frame numbers of the rows, ``first`` the earliest time of
+    each group [s]. ``residual`` is how far times lie from their frames at most, in frames.
+    """
+
+    rate: float
+    frames: Whole
+    first: Floats
+    residual: float
+
+
+def fit_clock(
+    path: Path,
+    time: Floats,
+    group: Whole,
+    place: Place,
+    frames: Whole | None = None,
+    rate: float | None = None,
+    unsaid: str | None = None,
+) -> Clock:
+    """Return the frame rate and the frames of rows by their times [s], or refuse.
+
+    Without ``frames`` the earliest time of each ``group`` is frame 0, and without ``rate`` the
+    usual step between times gives it. ``unsaid`` is the column of times of no stated unit.
+    """
+    if not np.isfinite(time).all():
+        row = int((~np.isfinite(time)).argmax())
+        raise InputError(f"{path}: {place(row)} has no time: fill it in, or leave the row out")
+    first = np.full(int(group.max()) + 1, np.inf)
+    np.minimum.at(first, group, time)
+    if frames is not None:
+        rate, residual = _rate_of_frames(path, frames, time, group, place)
+        _check_unit(path, unsaid, rate, True)
+        return Clock(rate, frames, first, residual)
+    since = time - first[group]
+    rates = _rates_of_steps(path, time, since, group)
+    _check_unit(path, unsaid, rates[0], False)
+    for tried in rates if rate is None else [rate]:
+        numbers = np.rint(since * tried)
+        off = np.abs(since * tried - numbers)
+        if tried > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
+            return Clock(tried, numbers.astype(np.int64), first, float(off.max()))
+    raise InputError(
+        f"{path}: the time of {place(int(off.argmax()))} lies between frames at {tried:g} Hz: "
+        "correct it, or give the right --option fps=..."
+    )
+
+
 def rate_of_rows(path: Path, time: Floats, place: Place) -> float:
-    """Frame rate [Hz] of times [s], of which each row's must be that of the next frame."""
-    rate, frames, _ = frames_at(path, time, None, np.zeros(len(time), dtype=np.int64), place)
-    refuse_uneven_frames(path, frames, place)
-    return rate
+    """Return the frame rate [Hz] of times [s]; each row must be the next frame."""
+    clock = fit_clock(path, time, np.zeros(len(time), dtype=np.int64), place)
+    refuse_uneven_frames(path, clock.frames, place)
+    return clock.rate
+
+
+def _rates_of_steps(path: Path, time: Floats, since: Floats, group: Whole) -> list[float]:
+    """Return rates [Hz] by the median step, made exact by all steps of few frames.
+
+    The first is whole, or of a whole period, where that fits.
+    """
+    before, after = _neighbours(group, since)
+    step = since[after] - since[before]
+    step = step[step > 0]
+    if len(step) == 0:
+        raise InputError(f"{path}: all rows have the same time: give --option fps=...")
+    usual = float(np.median(step))
+    frames = np.rint(step / usual)
+    few = (frames >= 1) & (frames <= FEW_FRAMES)
+    few &= np.abs(step / usual - frames) < CLEARLY + 1.01 * rounding(time) / usual
+    exact = float(frames[few].sum() / step[few].sum())
+    whole = _whole(exact)
+    fits = abs(whole - exact) < ROUNDING * exact
+    return [*[whole] * fits, _rounded(exact)]
+
+
+def _rate_of_frames(
+    path: Path, frames: Whole, time: Floats, group: Whole, place: Place
+) -> tuple[float, float]:
+    """Return the frame rate [Hz] of rows with a frame number and a time [s] each, and the residual.
+
+    A line through all frames gives it, since single steps of rounded times are too long or too
+    short. Steps that even rounding does not explain, as of a paused camera, cut the line.
+    """
+    before, after = _neighbours(group, frames)
+    steps, passed = frames[after] - frames[before], time[after] - time[before]
+    back = (steps > 0) & (passed < 0)
+    if back.any():
+        raise InputError(
+            f"{path}: the time of {place(int(after[back].min()))} is earlier than that of the "
+            "frame before: correct it, or give --option fps=... to count frames alone"
+        )
+    rising = (steps > 0) & (passed > 0)
+    if not rising.any():
+        raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
+    usual, digit = float(np.median(passed[rising] / steps[rising])), rounding(time)
+    off = np.maximum(np.abs(passed - usual * steps) - 1.01 * digit, 0.0)
+    even = off <= UNEVEN * usual * steps
+    use = even & (steps > 0)
+    if np.count_nonzero(use) < (1 - PAUSES) * np.count_nonzero(steps):
+        raise InputError(
+            f"{path}: its times do not keep step with its frame numbers: correct them, or give "
+            "--option fps=... to count frames alone"
+        )
+    line = np.concatenate([[0], np.cumsum(~even)])
+    ends = np.stack([np.append(before[even], after[even]), np.tile(line[:-1][even], 2)])
+    row, line = np.unique(ends, axis=1)
+    size = np.maximum(np.bincount(line), 1)
+    x, y = (
+        values[row] - (np.bincount(line, values[row]) / size)[line] for values in (frames, time)
+    )
+    whole = _whole(float((x * x).sum() / (x * y).sum()))
+    count, lasted = int(steps[use].sum()), float(passed[use].sum())
+    fits = abs(count / whole - lasted) <= digit * (int(group.max()) + 1)
+    return whole if fits else _rounded(count / lasted), float((off[use] / usual).max())
+
+
+def _whole(rate: float) -> float:
+    """Return the nearest rate [Hz] that is whole, or below 1 Hz of a whole period."""
+    return float(round(rate)) if rate >= 1 else 1.0 / round(1.0 / rate)
+
+
+def _rounded(rate: float) -> float:
+    """Return a rate [Hz], below 1 Hz its period, rounded to a millionth."""
+    return round(rate, 6) if rate >= 1 else 1.0 / round(1.0 / rate, 6)
+
+
+def _check_unit(path: Path, column: str | None, rate: float, numbered: bool) -> None:
+    """Refuse times of no stated unit that make a rate which no camera has if they are seconds."""
+    if column is None or SLOWEST < rate <= FASTEST:
+        return
+    fitting = [
+        f"time_unit={unit} ({rate / length:.4g} frames/s)"
+        for unit, length in IN_SECONDS.items()
+        if unit == "s" or SLOWEST < rate / length <= FASTEST
+    ]
+    frames = (
+        "or --option fps=... to count its frame numbers alone"
+        if numbered
+        else f"or, if they are frame numbers, --option {shlex.quote(f'frame={column}')} --fps ..."
+    )
+    raise InputError(
+        f"{path}: no unit is stated of the times of column {column!r}, which would make "
+        f"{rate:.4g} frames/s if they were seconds: say what they are by --option "
+        f"{' or --option '.join(fitting)}, {frames}"
+    )
 
 
 def refuse_uneven_frames(
@@ -51,54 +198,14 @@ def refuse_uneven_frames(
         )
 
 
-def frames_at(
-    path: Path, time: Floats, rate: float | None, group: Whole, place: Place
-) -> tuple[float, Whole, Floats]:
-    """Frame rate [Hz] and frame number ``(rows,)`` of times [s], and the first time of each group.
-
-    The earliest time of each ``group`` is frame 0. Without ``rate`` the steps between different
-    times give it: the median, made exact by all steps of few frames, whole where that fits.
-    """
-    if not np.isfinite(time).all():
-        row = int((~np.isfinite(time)).argmax())
-        raise InputError(f"{path}: {place(row)} has no time: fill it in, or leave the row out")
-    first = np.full(int(group.max()) + 1, np.inf)
-    np.minimum.at(first, group, time)
-    since = time - first[group]
-    if rate is None:
-        before, after = _neighbours(group, since)
-        step = since[after] - since[before]
-        step = step[step > 0]
-        if len(step) == 0:
-            raise InputError(f"{path}: all rows have the same time: give --option fps=...")
-        usual = float(np.median(step))
-        frames = np.rint(step / usual)
-        few = (frames >= 1) & (frames <= FEW_FRAMES)
-        few &= np.abs(step / usual - frames) < CLEARLY + 1.01 * rounding(time) / usual
-        exact = round(float(frames[few].sum() / step[few].sum()), 6)
-        whole = [float(round(exact))] if abs(round(exact) - exact) < ROUNDING * exact else []
-        rates = [*whole, exact]
-    else:
-        rates = [rate]
-    for rate in rates:
-        numbers = np.rint(since * rate)
-        off = np.abs(since * rate - numbers)
-        if rate > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
-            return rate, numbers.astype(np.int64), first
-    raise InputError(
-        f"{path}: the time of {place(int(off.argmax()))} lies between frames at {rate:g} Hz: "
-        "correct it, or give the right --option fps=..."
-    )
-
-
 def rounding(time: Floats) -> float:
-    """To which power of ten times [s] are rounded, a microsecond at least."""
+    """Return the power of ten to which times [s] are rounded, a microsecond at least."""
     kept = (digits for digits in range(6) if np.abs(time - time.round(digits)).max() < 1e-7)
     return float(10.0 ** -next(kept, 6))
 
 
 def irregular_rate(path: Path, time: Floats, track: Whole) -> float | None:
-    """The usual rate [Hz] of a clock that ticks unevenly; None where it ticks evenly."""
+    """Return the usual rate [Hz] of a clock that ticks unevenly, or None where it ticks evenly."""
     before, after = _neighbours(track, time)
     step = time[after] - time[before]
     if len(step) == 0 or not (step > 0).all():
@@ -112,11 +219,11 @@ def irregular_rate(path: Path, time: Floats, track: Whole) -> float | None:
             f"{path}: its times are rounded to {rounding(time):g} s, too coarsely for frames about "
             f"{usual:.3g} s apart: write them with more digits, or add a column of frame numbers"
         )
-    return float(f"{1.0 / usual:.3g}")
+    return float(f"{1.0 / usual:.3g}") if usual <= 1 else 1.0 / float(f"{usual:.3g}")
 
 
 def even_rows(time: Floats, track: Whole, rate: float) -> tuple[Whole, Whole, Floats, Floats]:
-    """Rows around each tick of an even clock, the share of the way between them, and its time [s].
+    """Return rows around each tick of an even clock, the share of the way between, and times [s].
 
     Ticks are whole multiples of ``1 / rate``; those in a gap are left out.
     """
@@ -131,7 +238,7 @@ def even_rows(time: Floats, track: Whole, rate: float) -> tuple[Whole, Whole, Fl
 
 
 def _neighbours(group: Whole, *keys: Floats | Whole) -> tuple[Whole, Whole]:
-    """Rows and those right after them in the same group, sorted by keys, else as they stand."""
+    """Return rows and the next ones of the same group, sorted by keys, else as they stand."""
     order: Whole = np.lexsort((*keys, group))
     same = np.diff(group[order]) == 0
     return order[:-1][same], order[1:][same]
@@ -151,26 +258,6 @@ def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place
             "same individual (past midnight, or daylight saving?): write times that rise, or sort "
             "the rows by time"
         )
-
-
-def rate_of_frames(path: Path, frames: Whole, time: Floats, group: Whole) -> float:
-    """Frame rate [Hz] of rows that have a frame number and a time [s] each.
-
-    All frames over all time, since single steps of rounded times are too long or too short; without
-    steps that even rounding does not explain, as of a paused camera.
-    """
-    before, after = _neighbours(group, frames)
-    steps, passed = frames[after] - frames[before], time[after] - time[before]
-    use = (steps > 0) & (passed > 0)
-    if not use.any():
-        raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
-    usual, digit = float(np.median(passed[use] / steps[use])), rounding(time)
-    use = (steps > 0) & (passed >= 0)
-    use &= np.abs(passed - usual * steps) <= UNEVEN * usual * steps + 1.01 * digit
-    count, lasted = int(steps[use].sum()), float(passed[use].sum())
-    whole = max(round(count / lasted), 1)
-    fits = abs(count / whole - lasted) <= digit * (int(group.max()) + 1)
-    return float(whole) if fits else round(count / lasted, 6)
 
 
 def seconds(path: Path, column: str, values: Floats | Words, unit: str | None) -> Floats:
@@ -197,12 +284,3 @@ def seconds(path: Path, column: str, values: Floats | Words, unit: str | None) -
             f"2024-05-01 10:00:00.25, nor hours:minutes:seconds ({str(error)[:100]}): rewrite "
             "them, or use a column of seconds"
         ) from None
-
-
-def check_rate(path: Path, column: str, rate: float) -> None:
-    """Refuse times of no stated unit that can hardly be seconds."""
-    if not SLOWEST <= rate <= FASTEST:
-        raise InputError(
-            f"{path}: the times of column {column!r} would make {rate:.4g} frames a second if they "
-            "were seconds: say what they are by --option time_unit=ms (or us, min, s)"
-        )

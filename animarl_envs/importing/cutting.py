@@ -108,12 +108,18 @@ class Cut:
 
 
 def cut_episodes(
-    bodies: Floats, roles: Sequence[str], frame_rate: float, settings: Cutting, recording: str = ""
+    bodies: Floats,
+    roles: Sequence[str],
+    frame_rate: float,
+    settings: Cutting,
+    recording: str = "",
+    first_frame: int = 0,
 ) -> list[Cut]:
-    """Episodes of one recording.
+    """Return the episodes of one recording.
 
     ``bodies`` are ``(frames, individuals, 2)`` [arena unit], NaN where not tracked, ``roles`` those
-    of the individuals, the target last, ``frame_rate`` is in Hz.
+    of the individuals, the target last, ``frame_rate`` is in Hz. Times of events count from frame
+    0, of which ``first_frame`` is the first in ``bodies``.
     """
     found: list[Cut] = []
     distance = distances_to_target(bodies, roles)
@@ -123,7 +129,9 @@ def cut_episodes(
         "left or film",
     )
     if settings.mode == "events":
-        found = _from_table(bodies, distance, roles, frame_rate, settings, recording)
+        found = _cut_at_events(
+            bodies, distance, roles, frame_rate, settings, recording, first_frame
+        )
     else:
         for start, stop in runs(np.isfinite(bodies).all(axis=(1, 2))):
             if settings.mode == "approach":
@@ -220,13 +228,14 @@ def _toucher(distance: Floats) -> int:
     return int(np.argmax(distance <= distance.min() * (1 + ROUNDING))) + 1
 
 
-def _from_table(
+def _cut_at_events(
     bodies: Floats,
     distance: Floats,
     roles: Sequence[str],
     frame_rate: float,
     settings: Cutting,
     recording: str,
+    first_frame: int,
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
@@ -234,8 +243,8 @@ def _from_table(
         if row["recording"] != recording:
             continue
         try:
-            start = round(float(row["start"]) * frame_rate)
-            stop = round(float(row["end"]) * frame_rate) + 1
+            start = round(float(row["start"]) * frame_rate) - first_frame
+            stop = round(float(row["end"]) * frame_rate) + 1 - first_frame
             condition, outcome = (
                 int(row[key]) if row.get(key) else None for key in ("condition", "outcome")
             )
@@ -245,8 +254,8 @@ def _from_table(
             ) from None
         require(
             0 <= start < stop - 1 < len(bodies),
-            f"{path}: line {number} lies outside {recording} ({len(bodies) / frame_rate:.3f} s): "
-            "correct start and end",
+            f"{path}: line {number} lies outside {recording} ({first_frame / frame_rate:.3f} to "
+            f"{(first_frame + len(bodies)) / frame_rate:.3f} s): correct start and end",
         )
         require(
             np.isfinite(bodies[start:stop]).all(),

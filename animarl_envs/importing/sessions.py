@@ -77,6 +77,11 @@ class Sessions:
         )
         return ending[0]
 
+    @property
+    def state_roles(self) -> bool:
+        """Whether they state the role of any individual."""
+        return any(one.roles or one.target for one in (self.by_recording or {}).values())
+
     def splits(self, recording: NDArray[np.str_], splitting: Splitting) -> NDArray[np.str_]:
         """The split of each episode: as stated for its recording; the others are dealt."""
         stated = [self.of(name).split for name in recording.tolist()]
@@ -104,7 +109,7 @@ class Sessions:
         named: dict[str, Any] = {}
         if len(self.conditions) == 2:
             named["conditions"] = list(self.conditions)
-        if any(one.roles or one.target for one in (self.by_recording or {}).values()):
+        if self.state_roles:
             named["roles_stated"] = True
         return named | ({"metadata_ignored": list(self.ignored)} if self.ignored else {})
 

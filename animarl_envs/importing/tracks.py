@@ -20,6 +20,9 @@ CENTROID = "centroid"
 TOGETHER = 0.1  # share of frames with everybody, below which nobody needs them all at once
 PRESENT = 0.5  # share of a group that is there on average, or of frames with everybody
 LONE = "individual_0"  # of a recording of one animal without a name
+BODY_LENGTH = "body_length"  # in the unit of positions, in notes
+RATE_FROM = "rate_from"  # what says the frame rate, in notes
+TRACKS, TOGETHER_AT_MOST = "tracks", "together_at_most"  # of a recording that was split, in notes
 APART = 0.25  # of a frame that files of one recording may be apart
 LARGEST = 1e9  # no tracker writes larger coordinates
 
@@ -39,6 +42,8 @@ class Tracks:
     frame_rate
         [Hz]; ``None`` where the file does not say.
     start
+        Number of the first frame here, as the file counts; frames before it hold nobody.
+    start_time
         Time of frame 0 by the clock that the files of one recording share [s].
     unit
         Such as ``"px"``, ``"mm"``, ``"m"``.
@@ -61,7 +66,8 @@ class Tracks:
     keypoints: tuple[str, ...] = (CENTROID,)
     positions: NDArray[np.float64]
     frame_rate: float | None = None
-    start: float = 0.0
+    start: int = 0
+    start_time: float = 0.0
     unit: str = "px"
     y_down: bool = False
     confidence: NDArray[np.float64] | None = None
@@ -126,9 +132,10 @@ class Tracks:
         return replace(self, positions=bodies[:, :, None], confidence=None, **changes)
 
     def within(self, frames: slice, **changes: Any) -> Tracks:
-        """These frames of it, with further changes."""
+        """Return these frames of the recording, with further changes."""
         return replace(
             self,
+            start=self.start + frames.start,
             positions=self.positions[frames],
             confidence=None if self.confidence is None else self.confidence[frames],
             signals={key: value[frames] for key, value in self.signals.items()},
@@ -158,25 +165,66 @@ class Tracks:
         )
 
 
-def each_alone(tracks: Tracks) -> list[Tracks]:
-    """A recording of each animal, from its first to its last frame, where they come and go.
+def trim(tracks: Tracks) -> Tracks:
+    """Cut the frames without anybody before the first and after the last animal."""
+    seen = np.flatnonzero(np.isfinite(tracks.positions).any(axis=(1, 2, 3)))
+    if not len(seen) or (seen[0] == 0 and seen[-1] == len(tracks) - 1):
+        return tracks
+    return tracks.within(slice(int(seen[0]), int(seen[-1]) + 1))
+
+
+def split_individuals(tracks: Tracks) -> list[Tracks]:
+    """Return a recording of each animal, from its first to its last frame, where they come and go.
 
     The recording stays whole if all of its animals are there in a tenth of its frames or more, or
-    if half of a group is there on average (:func:`in_groups`).
+    if half of a group is there on average (:func:`in_groups`). Animals of one frame are left out.
     """
     seen = np.asarray(np.isfinite(tracks.positions).any(axis=(2, 3)))
     if not seen.any(axis=0).all() or seen.all(axis=1).mean() >= TOGETHER:
         return [tracks]
     if len(tracks.individuals) > 2 and seen.mean() >= PRESENT:
         return [tracks]
-    found = []
-    for who, name in enumerate(tracks.individuals):
-        frames = np.flatnonzero(seen[:, who])
-        if len(frames) > 1:
-            own, when = tracks.choose([name]), slice(frames[0], frames[-1] + 1)
-            recording = f"{tracks.recording}/{name}"
-            found.append(own.within(when, recording=recording, individuals=(LONE,)))
-    return found
+    alone = [trim(tracks.choose([name])) for name in tracks.individuals]
+    note = {TOGETHER_AT_MOST: int(seen.sum(axis=1).max()), TRACKS: len(alone)}
+    return [
+        replace(
+            one, recording=f"{tracks.recording}/{one.individuals[0]}", individuals=(LONE,),
+            provenance=tracks.provenance | note,
+        )
+        for one in alone
+        if len(one) > 1
+    ]  # fmt: skip
+
+
+def body_length(recordings: Sequence[Tracks]) -> float | None:
+    """Return the animals' usual length in their unit, by the reader or the span of keypoints."""
+    stated = [one.provenance[BODY_LENGTH] for one in recordings if BODY_LENGTH in one.provenance]
+    if stated:
+        return float(np.median(stated))
+    spans = []
+    for one in recordings:
+        if len(one.keypoints) > 1:
+            with np.errstate(invalid="ignore"):
+                low, high = one.positions.min(axis=2), one.positions.max(axis=2)
+            spans.append(np.linalg.norm(high - low, axis=-1).ravel())
+    known = np.concatenate(spans) if spans else np.empty(0)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else None
+
+
+def with_common_names(recordings: Sequence[Tracks]) -> list[Tracks]:
+    """Name animals alike where recordings hold equally many under different names.
+
+    One animal a recording is ``individual_0`` whatever its file calls it, several are
+    ``animal_0``, ``animal_1``, ...
+    """
+    first = recordings[0].individuals
+    if all(one.individuals == first for one in recordings) or any(
+        len(one.individuals) != len(first) for one in recordings
+    ):
+        return list(recordings)
+    names = (LONE,) if len(first) == 1 else tuple(f"animal_{k}" for k in range(len(first)))
+    return [replace(one, individuals=names) for one in recordings]
 
 
 def in_groups(recordings: Sequence[Tracks], piece: float | None, parts: int) -> list[list[Tracks]]:
@@ -230,8 +278,7 @@ def _group_of(
     mean = tracks.bodies[when][:, who].mean(axis=0)
     inner = np.argsort(np.linalg.norm(mean - mean.mean(axis=0), axis=1), kind="stable")
     own = tracks.choose([tracks.individuals[i] for i in np.sort(who[inner[: len(names)]])])
-    start = tracks.start + when.start / (tracks.frame_rate or 1.0)
-    return own.within(when, individuals=names, start=start)
+    return own.within(when, individuals=names)
 
 
 def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
@@ -308,14 +355,16 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
         len(kinds) == 1,
         f"{first.recording}: its files differ in keypoints or frame rate: import them one by one",
     )
-    begin = min(part.start for part in group)
-    exact = [(part.start - begin) * (part.frame_rate or 0.0) for part in group]
+    begin = min(part.start_time for part in group)
+    exact = [(part.start_time - begin) * (part.frame_rate or 0.0) + part.start for part in group]
     late = [round(frames) for frames in exact]
     require(
         max(abs(a - b) for a, b in zip(exact, late, strict=True)) <= APART,
         f"{first.recording}: its files begin at times between each other's frames: resample "
         "them, or import them one by one",
     )
+    start = min(late)
+    late = [after - start for after in late]
     frames = max(len(part) + after for part, after in zip(group, late, strict=True))
     require(
         frames <= 2 * sum(map(len, group)),
@@ -335,7 +384,8 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
     scores = [part.confidence for part in group if part.confidence is not None]
     return replace(
         first,
-        start=begin,
+        start=start,
+        start_time=begin,
         individuals=tuple(name for part in group for name in part.individuals),
         positions=joined([part.positions for part in group]),
         confidence=joined(scores) if len(scores) == len(group) else None,

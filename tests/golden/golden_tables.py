@@ -51,7 +51,7 @@ def described(found: Demonstrations | list[Tracks]) -> Any:
     return [
         {
             "recording": one.recording, "individuals": one.individuals, "keypoints": one.keypoints,
-            "frames": len(one), "rate": one.frame_rate, "start": one.start, "unit": one.unit,
+            "frames": len(one), "rate": one.frame_rate, "start": one.start_time, "unit": one.unit,
             "y_down": one.y_down, "positions": hash_of(one.positions),
             "confidence": None if one.confidence is None else hash_of(one.confidence),
             "signals": {key: hash_of(value) for key, value in sorted(one.signals.items())},

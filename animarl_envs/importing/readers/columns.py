@@ -97,9 +97,14 @@ class Columns:
         return clocked and several and self.x is not None and not self.unclear
 
     def with_clock(self, frame: str | None, time: str | None, time_unit: str | None) -> Self:
-        """The same, where the columns of frames or times are named; times are in s by default."""
+        """The same, where the columns of frames or times are named."""
         if time is not None:
-            return replace(self, frame=None, time=time, time_unit=time_unit or "s")
+            return replace(
+                self,
+                frame=None,
+                time=time,
+                time_unit=time_unit or (self.time_unit if time == self.time else ""),
+            )
         if frame is not None:
             return replace(self, frame=frame, time=None)
         return replace(self, time_unit=time_unit or self.time_unit)
@@ -255,7 +260,7 @@ def frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Who
 
 
 def refuse_two_rows(
-    table: Table, recording: str, cell: Whole, individuals: list[str], rows: Whole
+    table: Table, recording: str, cell: Whole, individuals: list[str], rows: Whole, first: int = 0
 ) -> None:
     """Refuse a second row of one frame and individual; ``rows`` are those of the table."""
     twice = np.flatnonzero(np.bincount(cell) > 1)
@@ -269,6 +274,6 @@ def refuse_two_rows(
             "session: add a column recording that tells the sessions apart, or split the file",
         )
         raise InputError(
-            f"{table.path}: {recording}, frame {frame}, {individuals[who]} has two rows: drop the "
-            "duplicate, or name the recording column"
+            f"{table.path}: {recording}, frame {first + frame}, {individuals[who]} has two rows: "
+            "drop the duplicate, or name the recording column"
         )

@@ -19,12 +19,11 @@ from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
 from animarl_envs.importing.clock import (
+    LARGEST_FRAME,
     UNEVEN,
-    check_rate,
     even_rows,
-    frames_at,
+    fit_clock,
     irregular_rate,
-    rate_of_frames,
     refuse_times_going_back,
     seconds,
 )
@@ -41,9 +40,10 @@ from animarl_envs.importing.readers.columns import (
     suggested_command,
 )
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.tracks import LONE, Tracks
+from animarl_envs.importing.tracks import LONE, RATE_FROM, TOGETHER_AT_MOST, TRACKS, Tracks
 
 CONFIDENCE = "confidence"
+SPARSE, SMALL = 100, 2**20  # cells of frame and individual: so many a row, and in all
 Pairs = dict[str, list[str]]
 Whole = NDArray[np.int64]
 
@@ -216,9 +216,14 @@ def _recordings(
         for at in range(len(sets.entries)):
             frames[recording == at] = np.arange(np.count_nonzero(recording == at))
     if clock is not None:
-        when = seconds(path, clock, word.get(clock) or number[clock], found.time_unit or None)
+        time_unit = found.time_unit or parsed_names([clock], table.units)[0].unit
+        when = seconds(path, clock, word.get(clock) or number[clock], time_unit or None)
+        unsaid = None if time_unit or clock in word else clock
+        told[RATE_FROM] = (
+            f"the column {clock} ({'times of day' if clock in word else time_unit or 's'})"
+        )
         if found.frame is not None:
-            fps = rate_of_frames(path, frames, when, recording)
+            fps = fit_clock(path, when, recording, table.place, frames, unsaid=unsaid).rate
         else:
             track = recording * len(names) + who
             refuse_times_going_back(path, when, track, table.place)
@@ -232,19 +237,28 @@ def _recordings(
                 number = {k: v[row] + share * (v[after] - v[row]) for k, v in number.items()}
                 recording, who = recording[row], who[row]
                 read_as += f", irregular clock resampled to {fps:g} Hz"
-            fps, frames, start = frames_at(path, when, fps, recording, table.place)
-        if not found.time_unit and clock not in word:
-            check_rate(path, clock, fps)
+                told[RATE_FROM] += ", irregular and resampled"
+            fitted = fit_clock(path, when, recording, table.place, rate=fps, unsaid=unsaid)
+            fps, frames, start = fitted.rate, fitted.frames, fitted.first
+    entries = sets.entries
+    if found.individual and _is_sparse(frames, recording, len(names)):
+        together = np.unique(frames * len(entries) + recording, return_counts=True)[1]
+        kept, recording = np.unique(recording * len(names) + who, return_inverse=True)
+        told |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
+        start = start[kept // len(names)]
+        entries = [f"{entries[k // len(names)]}/{names[k % len(names)]}" for k in kept]
+        found, who = replace(found, individual=None), np.zeros_like(who)
     tracks = []
-    for at, name in enumerate(sets.entries):
-        own: Any = np.flatnonzero(recording == at) if len(sets.entries) > 1 else slice(None)
+    for at, name in enumerate(entries):
+        own: Any = np.flatnonzero(recording == at) if len(entries) > 1 else slice(None)
         individuals, place = list(pairs), zeros[:1]
         if found.individual:
             individuals, place = _in_natural_order(names, who[own])
-        shape = (int(frames[own].max()) + 1, len(individuals))
+        first = int(frames[own].min())
+        shape = (int(frames[own].max()) + 1 - first, len(individuals))
         _check_extent(table, name, shape, frames[own], row[own])
-        cell = frames[own] * len(individuals) + place[who[own]]
-        refuse_two_rows(table, name, cell, individuals, row[own])
+        cell = (frames[own] - first) * len(individuals) + place[who[own]]
+        refuse_two_rows(table, name, cell, individuals, row[own], first)
         positions = np.full((*shape, 1, 2), np.nan)
         more_of = {key: np.full(shape, np.nan) for key in extra}
         for further, (x, y) in enumerate(pairs.values()):
@@ -263,7 +277,8 @@ def _recordings(
                 y_down=y_down,
                 confidence=None if confidence is None else confidence[:, :, None],
                 signals=more_of,
-                start=float(start[at]),
+                start=first,
+                start_time=float(start[at]),
                 provenance=told | {"read_as": read_as},
             )
         )
@@ -332,6 +347,16 @@ def _refuse_hidden_clock(table: tables.Table, found: Columns, pairs: Pairs) -> N
             f"{table.place(row)} some are missing: name it in the file, or by the option frame or "
             "time",
         )
+
+
+def _is_sparse(frames: Whole, recording: Whole, individuals: int) -> bool:
+    """Whether few of the frames between first and last hold a row, as in a film of short visits."""
+    first = np.full(int(recording.max()) + 1, LARGEST_FRAME)
+    last = np.zeros_like(first)
+    np.minimum.at(first, recording, frames)
+    np.maximum.at(last, recording, frames)
+    cells = int((last - first + 1).max()) * individuals
+    return individuals > 1 and cells > max(SPARSE * len(frames), SMALL)
 
 
 def _check_extent(

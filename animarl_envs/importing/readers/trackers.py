@@ -35,7 +35,7 @@ from animarl_envs.importing.readers.arrays import (
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import read_long_table
 from animarl_envs.importing.tables import Table, plain_table
-from animarl_envs.importing.tracks import CENTROID, LONE, Tracks
+from animarl_envs.importing.tracks import BODY_LENGTH, CENTROID, LONE, RATE_FROM, Tracks
 
 ETHOVISION = "Number of header lines:"  # the first cell
 ETHOVISION_CLOCKS = ("Trial time", "Recording time")
@@ -93,9 +93,14 @@ def _ethovision(table: tables.Table, progress: tables.Progress) -> Tracks:
         keypoints=tuple(points),
         positions=values.reshape(len(values), 1, -1, 2),
         frame_rate=rate_of_rows(path, number[clock], table.place),
-        start=float(number[clock][0]),
+        start_time=float(number[clock][0]),
         unit=units.pop() or "px",
-        provenance={"file": path.name, "tracker": "EthoVision", "read_as": table.description},
+        provenance={
+            "file": path.name,
+            "tracker": "EthoVision",
+            "read_as": table.description,
+            RATE_FROM: f"the column {clock}",
+        },
     )
 
 
@@ -121,19 +126,30 @@ def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tr
     whole = (frame >= 0) & (frame == np.floor(frame)) & (frame < 64 * len(frame) + 1e6)
     once = count > 0 and whole.all() and len(np.unique(frame)) == count
     require(once, f"{path}: frame numbers are not whole, or repeat: export the file again")
-    positions = np.full((int(frame.max()) + 1, 1, 1, 2), np.nan)
     index = frame.astype(np.int64)
+    start = int(index.min())
+    index = index - start
+    positions = np.full((int(index.max()) + 1, 1, 1, 2), np.nan)
     positions[index, 0, 0] = np.column_stack([x, y])
     if "missing" in arrays and arrays["missing"].shape == frame.shape:
         positions[index[arrays["missing"].astype(bool)]] = np.nan
     match = _TREX_NAME.match(path.stem)
+    told: dict[str, Any] = {"file": path.name, "tracker": "TRex"}
+    if fps is None and "frame_rate" in arrays:
+        told[RATE_FROM] = "the array frame_rate"
+    if {"midline_length", "cm_per_pixel"} <= arrays.keys() and unit == "cm":
+        pixels = numbers(path, "midline_length", arrays["midline_length"].ravel(), count)
+        scale = _number(arrays["cm_per_pixel"]) or 1.0
+        told[BODY_LENGTH] = float(
+            np.nanmedian(np.where(np.isfinite(pixels), pixels, np.nan)) * scale
+        )
     return [
         Tracks(
             recording=match["recording"] if match else path.stem,
             individuals=(match["individual"] if match else path.stem,),
-            positions=positions, unit=unit, y_down=True,
+            positions=positions, unit=unit, y_down=True, start=start,
             frame_rate=fps if fps is not None else _number(arrays.get("frame_rate")),
-            provenance={"file": path.name, "tracker": "TRex"},
+            provenance=told,
         )
     ]  # fmt: skip
 

@@ -215,7 +215,7 @@ def test_event_tables(tmp_path: Path) -> None:
     near = replace(settings, contact=0.9)  # what happened at the cut, where the table is silent
     assert cut_episodes(approach_path(), CHASE, 10.0, near, "r")[1].outcome == 1
     for row, said in (
-        ("r,1,99", r"events.csv: line 2 lies outside r \(6.100 s\)"),
+        ("r,1,99", r"events.csv: line 2 lies outside r \(0.000 to 6.100 s\)"),
         ("r,1", "events.csv: line 2 has 2 cells, the header 3"),
     ):
         table.write_text(f"recording,start,end\n{row}\n")
