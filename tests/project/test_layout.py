@@ -85,7 +85,7 @@ BUDGETS = {
     "animarl_envs.demos": 8_250,
     "animarl_envs.drawing": 9_590,
     "animarl_envs.fitting": 19_140,
-    "animarl_envs.importing": 40_910,
+    "animarl_envs.importing": 47_000,
     "animarl_envs.species": 6_870,
     "animarl_envs.views": 6_270,
     "animarl_envs.worlds": 34_950,
