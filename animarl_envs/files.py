@@ -168,15 +168,10 @@ def refuse_unfinished(path: Path) -> None:
         if file.seek(0, os.SEEK_END):
             file.seek(-1, os.SEEK_END)
             if file.read(1) not in b"\r\n":
-                raise unfinished(path)
-
-
-def unfinished(path: Path) -> InputError:
-    """What to say of a text whose last line does not end."""
-    return InputError(
-        f"{path}: its last line does not end, so that it may be cut within a number: copy the "
-        "file again, or add a line end if it is whole"
-    )
+                raise InputError(
+                    f"{path}: the last line has no line ending; its last number may be truncated: "
+                    "copy the file again, or add a line ending if it is whole"
+                )
 
 
 def allowed_bytes(size: int) -> int:

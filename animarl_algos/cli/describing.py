@@ -36,6 +36,9 @@ SMOOTH = 2.0  # cutoff against such noise [Hz]
 SHOWN_COLUMNS = 8
 CM = {"mm": 0.1, "cm": 1.0, "m": 100.0}
 FAST_LENGTHS, FAST_CM = 8.0, 1500.0  # a second; few animals are faster, unless they fly
+SHOWN_DOUBTS = 4
+COMPARED = 1000  # frames by which individuals are compared
+CONSTANT = 0.05  # spread of a distance by its mean: that of parts of one body is less
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
@@ -184,6 +187,7 @@ def hints(demos: Demonstrations) -> list[str]:
         found.append(question)
     if ignored := told.get("metadata_ignored"):
         found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
+    found += told.get("notes", [])
     if unused := told.get("columns_not_used"):
         beside = sorted({name.lower() for name in unused} & set(GROUPS))
         found.append(
@@ -254,6 +258,33 @@ def hints(demos: Demonstrations) -> list[str]:
     return found
 
 
+def _doubtful_individuals(demos: Demonstrations) -> list[str]:
+    """Return which individuals may be none: one that never moves, or parts of one body.
+
+    Parts of a body keep their distance while they move farther than that.
+    """
+    names, bodies = demos.individuals, demos.positions[:: len(demos.positions) // COMPARED + 1]
+    bodies = np.asarray(bodies, dtype=np.float64)
+    travel = np.ptp(bodies, axis=0).max(axis=1)
+    found = [
+        f"{name} never moves, so it may be a landmark: leave it out by --individuals "
+        f"{','.join(names[:at] + names[at + 1 :])}"
+        for at, name in enumerate(names)
+        if travel[at] == 0 and len(names) > 1
+    ]
+    for at, name in enumerate(names):
+        distance = np.linalg.norm(bodies[:, at + 1 :] - bodies[:, [at]], axis=2)
+        mean, spread = distance.mean(axis=0), distance.std(axis=0)
+        farther = np.minimum(travel[at + 1 :], travel[at]) > mean
+        for other in at + 1 + np.flatnonzero(farther & (mean > 0) & (spread < CONSTANT * mean)):
+            left = names[:other] + names[other + 1 :]
+            found.append(
+                f"{name} and {names[other]} keep their distance, so they may be parts of one body: "
+                f"if they are, take one by --individuals {','.join(left)}"
+            )
+    return found[:SHOWN_DOUBTS]
+
+
 def found_by_itself(demos: Demonstrations) -> list[str]:
     """Return what an import decided because nobody stated it."""
     found = []
@@ -265,6 +296,8 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
             f"{demos.individuals[-1]} is taken for the target, since it is approached most, by "
             f"{others}: otherwise name who is pursued by --target NAME, or --target none"
         )
+    if not recipe.get("individuals") and not demos.synthetic:
+        found += _doubtful_individuals(demos)
     scaling, options = recipe.get("scaling", {}), recipe.get("options", {})
     in_pixels = scaling.get("px_per_cm") or demos.provenance.get("unit") == "px"
     asked = {reader.name for reader in available_readers() if "y_down" in reader.options}

@@ -10,7 +10,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -49,7 +49,8 @@ class Layout:
 
     ``before`` are the cells of the lines above the header, ``first`` is the number of lines before
     the first row. ``words_in`` are columns whose first entry is no number. ``unclear`` is a number
-    whose sign may part thousands or decimals.
+    whose sign may part thousands or decimals. ``headless`` tables have no line of names; theirs are
+    supplied.
     """
 
     names: tuple[str, ...]
@@ -60,6 +61,7 @@ class Layout:
     before: tuple[tuple[str, ...], ...] = ()
     words_in: tuple[str, ...] = ()
     unclear: str = ""
+    headless: bool = False
 
 
 def encoding_of(path: Path) -> str:
@@ -116,10 +118,26 @@ def layout_of_lines(lines: Sequence[str]) -> Layout:
     """Return the layout under the separator that makes most numbers."""
     score, layout = max((_under(lines, one) for one in SEPARATORS), key=lambda found: found[0])
     if score > 0:
-        return layout
+        return _with_supplied_names(lines, layout)
     separator = max(SEPARATORS[:-1], key=lambda one: len(split_cells(lines[0], one)))
     names = tuple(split_cells(lines[0], separator))  # a header alone
     return Layout(names, separator=separator)
+
+
+def _with_supplied_names(lines: Sequence[str], layout: Layout) -> Layout:
+    """Return the layout of three columns without names as frame or time, x and y."""
+    sign = layout.decimal
+    if layout.first != 1 or len(layout.names) != 3:
+        return layout
+    if not all(is_number(name, sign) for name in layout.names):
+        return layout
+    rows = [split_cells(line, layout.separator) for line in lines[:LOOKED_AT]]
+    first = [row[0].replace(sign, ".") for row in rows if row and is_number(row[0], sign)]
+    steps = np.diff(np.array(first, dtype=np.float64))
+    if not len(steps) or not (steps > 0).all():
+        return layout
+    clock = "frame" if (steps == 1).all() and all(cell.isdecimal() for cell in first) else "time"
+    return replace(layout, names=(clock, "x", "y"), first=0, headless=True)
 
 
 def split_cells(line: str, separator: str) -> list[str]:
@@ -168,8 +186,9 @@ def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
         return sum(is_number(cell, decimal) for cell in row)
 
     def may_be_header(row: Sequence[str]) -> bool:  # a remark fills one or two cells
-        remark = 2 if width > 3 or (width == 3 and row[0]) else 0
-        return len(row) == width and any(row[remark:])
+        if len(row) != width:
+            return False
+        return any(row[2 if width > 3 or (width == 3 and row[0]) else 0 :])
 
     first = next((i for i, row in enumerate(rows) if may_be_header(row) and numbers(row)), -1)
     if not 0 <= first <= HEADER_LINES:
@@ -190,7 +209,7 @@ def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
     layout = Layout(
         names, units, separator, decimal, first, tuple(map(tuple, rows[:top])),
         tuple(n for n, word in zip(names, words, strict=False) if not is_number(word, decimal)),
-        _unclear_number(usual, decimal),
+        "" if separator == "," else _unclear_number(usual, decimal),
     )  # fmt: skip
     return score * share + 1e-3 * (first > top) - 1e-6 * SEPARATORS.index(separator), layout
 
@@ -210,7 +229,8 @@ def _decimal_sign(rows: Sequence[Sequence[str]], separator: str) -> str:
 def _unclear_number(rows: Sequence[Sequence[str]], decimal: str) -> str:
     """A number such as 1,000 whose sign may part thousands, where no other shows that it does not.
 
-    A point is only doubted where whole numbers stand in the same column: 1.000 below 996.
+    A point is only doubted where whole numbers other than 0, which trackers write of lost animals,
+    stand in the same column: 1.000 below 996.
     """
     thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}([{decimal}]\d{{3}})+")
     doubted = ""
@@ -218,7 +238,7 @@ def _unclear_number(rows: Sequence[Sequence[str]], decimal: str) -> str:
         signed = [cell for cell in cells if decimal in cell and is_number(cell, decimal)]
         if any(not thousands.fullmatch(cell) for cell in signed):
             return ""
-        whole = any(re.fullmatch(r"[-+]?\d+", cell) for cell in cells)
+        whole = any(re.fullmatch(r"[-+]?\d+", cell) and int(cell) for cell in cells)
         if signed and (whole or decimal == ","):
             doubted = doubted or signed[0]
     return doubted

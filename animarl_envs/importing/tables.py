@@ -10,11 +10,12 @@ import datetime
 import gzip
 import io
 import itertools
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
@@ -112,12 +113,23 @@ class Table(Layout):
 
     def check_lines(self) -> None:
         """Check all lines of a table that another package is going to read."""
+        require(
+            not self._is_cut,
+            f"{self.path}: the last line has no line ending and its last number is the shortest: "
+            "copy the file again, or add a line ending if it is whole",
+        )
         self._text([], self.names[:1], None)
 
     def columns(
-        self, numbers: Sequence[str], words: Sequence[str] = (), progress: Progress = None
+        self,
+        numbers: Sequence[str],
+        words: Sequence[str] = (),
+        progress: Progress = None,
+        may_be_empty: Sequence[str] = (),
     ) -> tuple[dict[str, NDArray[np.float64]], dict[str, Words]]:
-        """Return the named columns: numbers, empty cells NaN, and words, of which none is empty.
+        """Return the named columns: numbers, empty cells NaN, and words.
+
+        Empty words have the number -1; they are refused but in columns that ``may_be_empty``.
 
         Raises InputError: it names the line and column of what cannot be read.
         """
@@ -134,10 +146,13 @@ class Table(Layout):
         column = read(numbers, words, progress)
         if not column.num_rows:
             raise InputError(f"{self.path}: it has a header but no rows: check the file")
-        found = {name: self._words(name, column[name]) for name in words}
-        return {name: column[name].to_numpy() for name in numbers}, found
+        found = {name: self._words(name, column[name], name in may_be_empty) for name in words}
+        values = {name: column[name].to_numpy() for name in numbers}
+        if self.names[-1] in values and self._is_cut:
+            values[self.names[-1]] = np.append(values[self.names[-1]][:-1], np.nan)
+        return values, found
 
-    def _words(self, name: str, column: Any) -> Words:
+    def _words(self, name: str, column: Any, may_be_empty: bool) -> Words:
         codes = column.combine_chunks()
         codes = codes if hasattr(codes, "dictionary") else codes.dictionary_encode()
         known = [*codes.dictionary.to_pylist(), ""]  # the last one of empty cells
@@ -154,12 +169,41 @@ class Table(Layout):
         place = np.full(len(known), -1)
         place[used] = [places[text] for text in texts]
         own = place[number]
-        if (own < 0).any():
+        if (own < 0).any() and not may_be_empty:
             raise InputError(
                 f"{self.path}: {self.place(int((own < 0).argmax()))} has no {name}: fill it in, "
                 "or leave the row out"
             )
         return Words(entries, own)
+
+    @property
+    def notes(self) -> list[str]:
+        """What an import says of the file."""
+        found = []
+        if self.headless:
+            found.append(f"it has no line of names: taken for {', '.join(self.names)}")
+        if self._is_cut:
+            found.append(
+                "the last line has no line ending and its last number is the shortest, as where a "
+                "copy was cut off: that number is left out"
+            )
+        return found
+
+    @cached_property
+    def _is_cut(self) -> bool:
+        """Whether the last number of the last line may be truncated."""
+        if self.kind == "Parquet":
+            return False
+        with contextlib.closing(self._rows()) as file:
+            start = file.tell()
+            file.seek(max(start, file.seek(0, os.SEEK_END) - HEAD))
+            lines = file.read().decode(errors="replace").splitlines(keepends=True)
+        if not lines or lines[-1].endswith(("\n", "\r")):
+            return False
+        between = "\t" if self.separator == BLANK else self.separator
+        cells = [split_cells(line.strip("\r\n"), between)[-1:] for line in lines[1:]]
+        lengths = [len(cell[0]) for cell in cells if cell and cell[0]]
+        return len(lengths) > 1 and lengths[-1] < min(lengths[:-1])
 
     # -- text ----------------------------------------------------------------------------------
 
@@ -181,10 +225,6 @@ class Table(Layout):
                 f"signs between thousands, or say --option decimal={self.decimal!r} if it is the "
                 "decimal sign"
             )
-        if self.content is None:
-            files.refuse_unfinished(self.path)
-        elif not self.content.endswith(b"\n"):
-            raise files.unfinished(self.path)
         asked = [*numbers, *words]
         at = [str(self.names.index(name)) for name in asked]
         kinds = [pyarrow.float64()] * len(numbers)

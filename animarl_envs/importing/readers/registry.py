@@ -149,7 +149,7 @@ def _find_own_reader(path: Path) -> str:
         if path.name.lower().endswith(tuple(reader.extensions)) and reader.sniff(path):
             return reader.name
     from animarl_envs.importing.readers.arrays import is_hdf, open_hdf
-    from animarl_envs.importing.readers.columns import suggested_command
+    from animarl_envs.importing.readers.table_files import suggested_command
 
     refuse_special(path)
     suffix = path.suffix.lower()

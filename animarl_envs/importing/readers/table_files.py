@@ -7,45 +7,41 @@ apart by a column. The frame rate comes from ``fps``, or from a column of times.
 import contextlib
 import itertools
 import re
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
-from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
 from animarl_envs.importing.clock import (
-    LARGEST_FRAME,
     UNEVEN,
-    even_rows,
-    fit_clock,
-    irregular_rate,
-    refuse_times_going_back,
-    seconds,
 )
-from animarl_envs.importing.readers.columns import (
+from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.table_columns import (
     CLOCKS,
+    USUAL_NAMES,
     Columns,
+    Position,
     find_columns,
-    frame_numbers,
+    is_idtracker,
     pairs_of,
     parsed_names,
     radians_per_unit,
-    refuse_two_rows,
-    refuse_unused_pair,
-    suggested_command,
+    unit_of,
 )
-from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.tracks import LONE, RATE_FROM, TOGETHER_AT_MOST, TRACKS, Tracks
+from animarl_envs.importing.table_rows import tracks_of_rows
+from animarl_envs.importing.tracks import CENTROID, Tracks
 
-CONFIDENCE = "confidence"
-SPARSE, SMALL = 100, 2**20  # cells of frame and individual: so many a row, and in all
-Pairs = dict[str, list[str]]
+Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
+Pairs = Mapping[str, Sequence[str] | Mapping[str, Sequence[str]]]
+
+EXAMPLE_RATE = 30  # [Hz], in commands that are suggested
 
 
 def _is_long(path: Path) -> bool:
@@ -57,7 +53,7 @@ def _is_wide(path: Path) -> bool:
     table = tables.table_or_none(path)
     if table is None or len(table.names) > tables.MOST_COLUMNS:
         return table is not None
-    return len(wide_columns(table, find_columns(table))) > 0
+    return find_columns(table).is_wide
 
 
 @register_track_reader(
@@ -71,6 +67,7 @@ def read_long_table(
     path: Path,
     frame: str | None = None,
     individual: str | None = None,
+    keypoint: str | None = None,
     x: str | None = None,
     y: str | None = None,
     confidence: str | None = None,
@@ -102,25 +99,34 @@ def read_long_table(
     to_radians = 1.0 if heading is None else radians_per_unit(path, heading, angle_unit)
     table = tables.open_table(path, encoding, sheet, decimal)
     found = find_columns(table)
-    given = {"frame": frame or time, "individual": individual, "x": x, "recording": recording}
-    if any(given.get(part, part) is None for part in found.unclear) and (
-        words := suggested_command(path)
-    ):
-        raise InputError(f"{path}: {words}")
-    if found.x is not None and not (individual or found.individual or x or y):
-        refuse_unused_pair(table, found)
+    given = {
+        "frame": frame or time, "individual": individual, "keypoint": keypoint,
+        "recording": recording, "arena": recording,
+    }  # fmt: skip
+    if any(given.get(part, part) is None for part in found.unclear):
+        raise InputError(f"{path}: {describe_columns(table)}")
+    if x or y:
+        plain = next((one.columns for one in found.positions if len(one.columns) == 2), ("x", "y"))
+        found = replace(found, positions=(Position((x or plain[0], y or plain[1])),), refusal="")
+    require(not found.refusal, f"{path}: {found.refusal}")
     recording = recording or found.recording
+    by_name = [individual, found.individual]
+    if keypoint == found.individual and keypoint is not None:
+        by_name.pop()
+    several = recording or found.arena or keypoint or found.keypoint
     found = replace(
         found.with_clock(frame, time, time_unit),
-        individual=individual or found.individual or (None if recording else "id"),
+        individual=next(filter(None, by_name), None if several else "id"),
+        keypoint=keypoint or found.keypoint,
         recording=recording,
+        arena=None if recording == found.arena else found.arena,
         confidence=confidence or found.confidence,
-        unit=unit or found.unit,
+        positions=found.positions or (Position(("x", "y")),),
     )
+    found = replace(found, unit=unit or unit_of(table, found.positions))
     if found.frame is None and found.time is None:
         found = replace(found, frame="frame")  # whose absence is then said
-    pairs = {LONE: [x or found.x or "x", y or found.y or "y"]}
-    tracks = _recordings(table, found, pairs, fps, y_down, progress, heading)
+    tracks = tracks_of_rows(table, found, fps, y_down, progress, heading, individual is not None)
     for one in tracks if heading else ():
         one.signals[HEADING][:] *= to_radians
     return tracks
@@ -150,164 +156,110 @@ def read_wide_table(
 ) -> list[Tracks]:
     """Read one or more recordings. ``columns`` maps each individual to its x and y column.
 
-    Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
-    Columns of frames, times and recordings are as of a long table; without one of frames or times
-    each row is the next frame of its recording.
+    Of an individual with keypoints it maps each of these, ``{a: {nose: [ax, ay]}}``; four columns
+    are the left, upper, right and lower edge of a box. Without ``columns``, pairs such as ``x_male
+    y_male``, ``male_x male_y`` or ``x1 y1`` are taken. Columns of frames, times and recordings are
+    as of a long table; without one of frames or times each row is the next frame of its recording.
     """
     table = tables.open_table(path, encoding, sheet, decimal)
     table.check_names()
     found = find_columns(table)
-    pairs = columns or wide_columns(table, found)
-    if columns is None and found.x is not None:
-        refuse_unused_pair(table, found)
-    if columns is None and (found.x is None or len(pairs) > 1):
-        _refuse_lone(path, [one.bare for one in parsed_names(table.names)])
+    if columns is None:
+        require(not found.refusal, f"{path}: {found.refusal}")
+        y_down = y_down or is_idtracker(table)
+        if "individual" in found.unclear:
+            raise InputError(f"{path}: {describe_columns(table)}")
+        first = next(iter(found.positions), Position((), "all"))
+        if len(found.positions) > 1 or first.individual or first.keypoint != CENTROID:
+            _refuse_lone(path, [one.bare for one in parsed_names(table.names)])
+    else:
+        found = replace(found, positions=_stated_positions(path, columns), tracks={})
     require(
-        pairs and all(len(pair) == 2 for pair in pairs.values()),
+        found.positions,
         f"{path}: it has no pairs of x and y columns: name them, such as "
         "columns: {male: [mx, my], female: [fx, fy]}",
     )
     if not (frame or time or found.frame or found.time):
-        _refuse_hidden_clock(table, found, pairs)
-    units = {one.column: one.unit for one in parsed_names(table.names, table.units)}
+        _refuse_hidden_clock(table, found)
     found = replace(
         found.with_clock(frame, time, time_unit),
         individual=None,
+        keypoint=None,
         recording=recording or found.recording,
         confidence=None,
-        unit=unit or units.get(next(iter(pairs.values()))[0], ""),
+        unit=unit or unit_of(table, found.positions),
     )
-    return _recordings(table, found, pairs, fps, y_down, progress)
+    return tracks_of_rows(table, found, fps, y_down, progress, stated=columns is not None)
 
 
-def _recordings(
-    table: tables.Table,
-    found: Columns,
-    pairs: Pairs,
-    fps: float | None,
-    y_down: bool,
-    progress: tables.Progress,
-    heading: str | None = None,
-) -> list[Tracks]:
-    """Tracks of each recording: of individuals by a column, or else of the pairs of columns."""
-    path, read_as = table.path, table.description
-    known = {CONFIDENCE: found.confidence, HEADING: heading}
-    extra = {key: column for key, column in known.items() if column}
-    clock = found.time if found.frame is None or fps is None else None
-    numbers = [*itertools.chain(*pairs.values()), *extra.values(), found.frame]
-    texts = [found.individual, found.recording]
-    (texts if clock in table.words_in else numbers).append(clock)
-    used = {*numbers, *texts, found.time}
-    told: dict[str, Any] = {"file": path.name}
-    if unused := [name for name in table.names if name and name not in used]:
-        told["columns_not_used"] = unused
-    number, word = table.columns([*filter(None, numbers)], [*filter(None, texts)], progress)
-    zeros = np.zeros(len(next(iter(number.values()))), dtype=np.int64)
-    whole = tables.Words([Path(path.name.removesuffix(tables.PACKED)).stem], zeros)
-    sets = word.get(found.recording or "", whole)
-    recording, row = sets.number, np.arange(len(zeros))  # of each, where it is in the table
-    names = word[found.individual].entries if found.individual else list(pairs)[:1]
-    who = word[found.individual].number if found.individual else zeros
-    start = np.zeros(len(sets.entries))
-    if found.frame is not None:
-        frames = frame_numbers(table, found.frame, number[found.frame])
-    elif clock is None:
-        frames = zeros.copy()
-        for at in range(len(sets.entries)):
-            frames[recording == at] = np.arange(np.count_nonzero(recording == at))
-    if clock is not None:
-        time_unit = found.time_unit or parsed_names([clock], table.units)[0].unit
-        when = seconds(path, clock, word.get(clock) or number[clock], time_unit or None)
-        unsaid = None if time_unit or clock in word else clock
-        told[RATE_FROM] = (
-            f"the column {clock} ({'times of day' if clock in word else time_unit or 's'})"
-        )
-        if found.frame is not None:
-            fps = fit_clock(path, when, recording, table.place, frames, unsaid=unsaid).rate
-        else:
-            track = recording * len(names) + who
-            refuse_times_going_back(path, when, track, table.place)
-            if fps is None and (fps := irregular_rate(path, when, track)) is not None:
-                require(
-                    HEADING not in extra,
-                    f"{path}: its clock is irregular, and headings are not resampled: give rows at "
-                    "even times",
-                )
-                row, after, share, when = even_rows(when, track, fps)
-                number = {k: v[row] + share * (v[after] - v[row]) for k, v in number.items()}
-                recording, who = recording[row], who[row]
-                read_as += f", irregular clock resampled to {fps:g} Hz"
-                told[RATE_FROM] += ", irregular and resampled"
-            fitted = fit_clock(path, when, recording, table.place, rate=fps, unsaid=unsaid)
-            fps, frames, start = fitted.rate, fitted.frames, fitted.first
-    entries = sets.entries
-    if found.individual and _is_sparse(frames, recording, len(names)):
-        together = np.unique(frames * len(entries) + recording, return_counts=True)[1]
-        kept, recording = np.unique(recording * len(names) + who, return_inverse=True)
-        told |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
-        start = start[kept // len(names)]
-        entries = [f"{entries[k // len(names)]}/{names[k % len(names)]}" for k in kept]
-        found, who = replace(found, individual=None), np.zeros_like(who)
-    tracks = []
-    for at, name in enumerate(entries):
-        own: Any = np.flatnonzero(recording == at) if len(entries) > 1 else slice(None)
-        individuals, place = list(pairs), zeros[:1]
-        if found.individual:
-            individuals, place = _in_natural_order(names, who[own])
-        first = int(frames[own].min())
-        shape = (int(frames[own].max()) + 1 - first, len(individuals))
-        _check_extent(table, name, shape, frames[own], row[own])
-        cell = (frames[own] - first) * len(individuals) + place[who[own]]
-        refuse_two_rows(table, name, cell, individuals, row[own], first)
-        positions = np.full((*shape, 1, 2), np.nan)
-        more_of = {key: np.full(shape, np.nan) for key in extra}
-        for further, (x, y) in enumerate(pairs.values()):
-            places = positions.reshape(-1, 2)[further:]
-            places[cell, 0], places[cell, 1] = number[x][own], number[y][own]
-        for key, values in more_of.items():
-            values.reshape(-1)[cell] = number[extra[key]][own]
-        confidence = more_of.pop(CONFIDENCE, None)
-        tracks.append(
-            Tracks(
-                recording=name,
-                individuals=tuple(individuals),
-                positions=positions,
-                frame_rate=fps,
-                unit=found.unit or "px",
-                y_down=y_down,
-                confidence=None if confidence is None else confidence[:, :, None],
-                signals=more_of,
-                start=first,
-                start_time=float(start[at]),
-                provenance=told | {"read_as": read_as},
+def _stated_positions(path: Path, columns: Pairs) -> tuple[Position, ...]:
+    """Return the positions that the option ``columns`` names."""
+    found = []
+    for name, value in columns.items():
+        parts = value if isinstance(value, Mapping) else {CENTROID: value}
+        found += [Position(tuple(own), str(name), str(part)) for part, own in parts.items()]
+    require(
+        found and all(len(position.columns) in (2, 4) for position in found),
+        f"{path}: columns must name an x and a y column of each individual, such as "
+        "columns: {male: [mx, my], female: [fx, fy]}",
+    )
+    return tuple(found)
+
+
+def suggested_command(path: Path) -> str | None:
+    """Return a table's columns and how to say which is which; ``None`` for no table."""
+    try:
+        table = tables.open_table(path)
+    except InputError as error:
+        return str(error).removeprefix(f"{path}: ")
+    return describe_columns(table) if len(table.names) > 1 else None
+
+
+def describe_columns(table: tables.Table) -> str:
+    """Return that it is not clear which column is which, and how to say it.
+
+    A command is given where it reads the file.
+    """
+    found, path = find_columns(table), table.path
+    if found.refusal:
+        return found.refusal
+    shown = ", ".join(name or "(no name)" for name in table.names[:30])
+    words = (
+        f"its columns are {shown} ({table.description}), and which is which is not clear: name "
+        "them by --source long-table with --option frame=COLUMN (or time), individual, x and y, or "
+        "by --source wide-table --option 'columns={NAME: [X COLUMN, Y COLUMN]}'"
+    )
+    if options := _guess(table, found):
+        with contextlib.suppress(InputError):
+            read_long_table(path, **options, fps=EXAMPLE_RATE)
+            named = " ".join(f"--option {shlex.quote(f'{k}={v}')}" for k, v in options.items())
+            fps = "" if "time" in options else f" --fps {EXAMPLE_RATE}"
+            words += (
+                f", such as: animarl import {shlex.quote(str(path))} --source long-table {named}"
+                f"{fps} --out demos.npz" + " (with your frame rate)" * bool(fps)
             )
-        )
-    return tracks
+    return words
 
 
-def _in_natural_order(entries: list[str], numbers: Whole) -> tuple[list[str], Whole]:
-    """Return those entries that occur, 2 before 10, and the place of each entry among these."""
+def _guess(table: tables.Table, found: Columns) -> dict[str, str]:
+    """Return options of a long table by the columns that are left, nothing where that is unclear.
 
-    def pieces(number: int) -> list[tuple[int, int, str]]:
-        parts = re.findall(r"\d+|\D+", entries[number])
-        return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
-
-    order = sorted(np.unique(numbers).tolist(), key=pieces)
-    place = np.zeros(len(entries), dtype=np.int64)
-    place[order] = np.arange(len(order))
-    return [entries[number] for number in order], place
-
-
-def wide_columns(table: tables.Table, found: Columns) -> Pairs:
-    """Return pairs of an x and a y; a lone x and y where no animal is named."""
-    if found.individual is not None or {"individual", "x"} & set(found.unclear):
-        return {}  # of rows of several individuals, or of points that might be taken for them
-    if found.x is not None and found.y is not None:
-        return {LONE: [found.x, found.y]}
-    known = {one.bare: one.column for one in parsed_names(table.names)}
-    if len(known) < len(table.names):
-        known = {name: name for name in table.names}
-    return {who: [known[x], known[y]] for who, (x, y) in pairs_of(list(known)).items()}
+    Words are names, and of two columns of numbers the first is x.
+    """
+    clock = {"frame": found.frame} if found.frame else {"time": found.time}
+    named = [*found.positions[0].columns] if len(found.positions) == 1 else []
+    used = {found.frame, found.time, found.recording, found.arena, found.individual, *named}
+    rest = [name for name in table.names if name and name not in used]
+    texts = [name for name in rest if name in table.words_in]
+    places = named or [name for name in rest if name not in texts]
+    individual = found.individual or (texts[0] if len(texts) == 1 else None)
+    usual = {key for ranks in USUAL_NAMES.values() for rank in ranks for key in rank.split()}
+    if len(places) != 2 or None in clock.values() or not (individual or found.recording):
+        return {}
+    if not named and usual & {one.key for one in parsed_names(places)}:
+        return {}
+    options = {**clock, "individual": individual, "x": places[0], "y": places[1]}
+    return {key: value for key, value in options.items() if value}
 
 
 def _refuse_lone(path: Path, names: list[str]) -> None:
@@ -326,7 +278,7 @@ def _refuse_lone(path: Path, names: list[str]) -> None:
             )
 
 
-def _refuse_hidden_clock(table: tables.Table, found: Columns, pairs: Pairs) -> None:
+def _refuse_hidden_clock(table: tables.Table, found: Columns) -> None:
     """Refuse a table whose rows would be taken for one frame after the other, and are not."""
     unclear = ", ".join(part for part in CLOCKS if part in found.unclear)
     require(
@@ -334,7 +286,8 @@ def _refuse_hidden_clock(table: tables.Table, found: Columns, pairs: Pairs) -> N
         f"{table.path}: several of its columns may be of {unclear}: name the one by that option",
     )
     first, values = table.names[0], np.zeros(0)
-    if first not in {found.recording, *table.words_in, *itertools.chain(*pairs.values())}:
+    placed = itertools.chain(*(position.columns for position in found.positions))
+    if first not in {found.recording, *table.words_in, *placed}:
         with contextlib.suppress(InputError):  # it holds more than numbers
             values = table.columns([first])[0][first]
     step = np.diff(values)
@@ -346,28 +299,4 @@ def _refuse_hidden_clock(table: tables.Table, found: Columns, pairs: Pairs) -> N
             f"{table.path}: its first column, {first!r}, rises as frames or times do, and before "
             f"{table.place(row)} some are missing: name it in the file, or by the option frame or "
             "time",
-        )
-
-
-def _is_sparse(frames: Whole, recording: Whole, individuals: int) -> bool:
-    """Whether few of the frames between first and last hold a row, as in a film of short visits."""
-    first = np.full(int(recording.max()) + 1, LARGEST_FRAME)
-    last = np.zeros_like(first)
-    np.minimum.at(first, recording, frames)
-    np.maximum.at(last, recording, frames)
-    cells = int((last - first + 1).max()) * individuals
-    return individuals > 1 and cells > max(SPARSE * len(frames), SMALL)
-
-
-def _check_extent(
-    table: tables.Table, recording: str, shape: tuple[int, int], frames: Whole, rows: Whole
-) -> None:
-    """Refuse a frame so late that the recording would take more memory than the file may ask."""
-    size = shape[0] * shape[1] * 16
-    if size > allowed_bytes(table.path.stat().st_size):
-        last = int(frames.argmax())
-        raise InputError(
-            f"{table.path}: {table.place(int(rows[last]))} is of frame {frames[last]}, with which "
-            f"recording {recording} would take {size / 2**20:,.0f} MiB, more "
-            f"than {EXPANSION} times the file: correct it"
         )

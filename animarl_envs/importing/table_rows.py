@@ -1,0 +1,431 @@
+"""Rows of a table to tracks: where each cell belongs, once it is known which column is which."""
+
+import itertools
+import math
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.episode import HEADING
+from animarl_envs.errors import InputError, require
+from animarl_envs.files import EXPANSION, allowed_bytes
+from animarl_envs.importing import tables
+from animarl_envs.importing.clock import (
+    LARGEST_FRAME,
+    even_rows,
+    fit_clock,
+    irregular_rate,
+    refuse_times_going_back,
+    seconds,
+)
+from animarl_envs.importing.table_columns import (
+    DEGREES,
+    Columns,
+    Position,
+    corners_of,
+    is_body_part,
+    is_idtracker,
+    parsed_names,
+    split_names,
+)
+from animarl_envs.importing.tracks import (
+    CENTROID,
+    LONE,
+    RATE_FROM,
+    TOGETHER_AT_MOST,
+    TRACKS,
+    Tracks,
+)
+
+Floats = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+SPARSE, SMALL = 100, 2**20  # cells of frame and individual: so many a row, and in all
+EARTH = 6_371_008.8  # [m], its mean radius
+ORDERED = 0.99  # share of rows in which corners of a box are left of and above the others
+STEADY = 0.5  # spread of the size of a box, of that of its centre; of two animals it is more
+
+
+def tracks_of_rows(
+    table: tables.Table,
+    found: Columns,
+    fps: float | None,
+    y_down: bool,
+    progress: tables.Progress,
+    heading: str | None = None,
+    stated: bool = False,
+) -> list[Tracks]:
+    """Return the tracks of each recording.
+
+    Individuals and keypoints are named by columns of the rows, or by positions of the header;
+    ``stated`` says that an option names them.
+    """
+    path, read_as = table.path, table.description
+    extra = {HEADING: heading} if heading else {}
+    clock = found.time if found.frame is None or fps is None else None
+    scores = [position.score or found.confidence for position in found.positions]
+    numbers = [*itertools.chain(*(one.columns for one in found.positions)), *scores]
+    numbers += [*extra.values(), found.frame]
+    slots = list(found.tracks.values())
+    texts = [found.individual, found.keypoint, found.recording, found.arena, *slots]
+    (texts if clock in table.words_in else numbers).append(clock)
+    used = {*numbers, *texts, found.time}
+    told: dict[str, Any] = {"file": path.name}
+    if unused := [name for name in table.names if name and name not in used]:
+        told["columns_not_used"] = unused
+    number, word = table.columns(
+        [*filter(None, numbers)], [*filter(None, texts)], progress, may_be_empty=slots
+    )
+    notes = table.notes
+    row = np.arange(len(next(iter(number.values()))))  # of each, where it is in the table
+    if slots:
+        number, word, found, row = _stack_slots(number, word, found)
+    if found.unit == DEGREES:
+        notes.append(_project(path, number, found))
+        found = replace(found, unit="m")
+    if not stated:
+        found = _with_boxes(table, found, number)
+    zeros = np.zeros(len(row), dtype=np.int64)
+    sets = _recordings_of(path, found, word, zeros)
+    recording = sets.number
+    names, who, points, point = _bodies_of(path, found, word, zeros, stated)
+    notes += _notes_on(found, points)
+    if is_idtracker(table):
+        notes.append("the columns are those of idTracker: y is taken to grow downwards")
+    start = np.zeros(len(sets.entries))
+    if found.frame is not None:
+        frames = frame_numbers(table, found.frame, number[found.frame])
+    elif clock is None:
+        frames = zeros.copy()
+        for at in range(len(sets.entries)):
+            frames[recording == at] = np.arange(np.count_nonzero(recording == at))
+    if clock is not None:
+        time_unit = found.time_unit or parsed_names([clock], table.units)[0].unit
+        when = seconds(path, clock, word.get(clock) or number[clock], time_unit or None)
+        unsaid = None if time_unit or clock in word else clock
+        told[RATE_FROM] = (
+            f"the column {clock} ({'times of day' if clock in word else time_unit or 's'})"
+        )
+        if found.frame is not None:
+            fps = fit_clock(path, when, recording, table.place, frames, unsaid=unsaid).rate
+        else:
+            track = (recording * max(len(names), 1) + who) * max(len(points), 1) + point
+            refuse_times_going_back(path, when, track, table.place)
+            if fps is None and (fps := irregular_rate(path, when, track)) is not None:
+                require(
+                    HEADING not in extra,
+                    f"{path}: its clock is irregular, and headings are not resampled: give rows at "
+                    "even times",
+                )
+                low, high, share, when = even_rows(when, track, fps)
+                number = {k: v[low] + share * (v[high] - v[low]) for k, v in number.items()}
+                recording, who, point, row = recording[low], who[low], point[low], row[low]
+                read_as += f", irregular clock resampled to {fps:g} Hz"
+                told[RATE_FROM] += ", irregular and resampled"
+            fitted = fit_clock(path, when, recording, table.place, rate=fps, unsaid=unsaid)
+            fps, frames, start = fitted.rate, fitted.frames, fitted.first
+    entries = sets.entries
+    if names and _is_sparse(frames, recording, len(names)):
+        together = np.unique(frames * len(entries) + recording, return_counts=True)[1]
+        kept, recording = np.unique(recording * len(names) + who, return_inverse=True)
+        told |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
+        start = start[kept // len(names)]
+        entries = [f"{entries[k // len(names)]}/{names[k % len(names)]}" for k in kept]
+        names, who = [], np.zeros_like(who)
+    tracks = []
+    for at, name in enumerate(entries):
+        own: Any = np.flatnonzero(recording == at) if len(entries) > 1 else slice(None)
+        individuals = list(dict.fromkeys(one.individual or LONE for one in found.positions))
+        place = zeros[:1]
+        if names:
+            individuals, place = _in_natural_order(names, who[own])
+        parts = points or list(dict.fromkeys(one.keypoint for one in found.positions))
+        first = int(frames[own].min())
+        shape = (int(frames[own].max()) + 1 - first, len(individuals), len(parts))
+        _check_extent(table, name, shape, frames[own], row[own])
+        body = (frames[own] - first) * len(individuals) + (place[who[own]] if names else 0)
+        labels = [f"{a} {part}" if len(parts) > 1 else a for a in individuals for part in parts]
+        cell = body * len(parts) + (point[own] if points else 0)
+        refuse_two_rows(table, name, cell, labels, row[own], first)
+        positions = np.full((*shape, 2), np.nan)
+        confidence = np.full(shape, np.nan) if any(scores) else None
+        for position in found.positions:
+            further = 0 if names else individuals.index(position.individual or LONE)
+            part = point[own] if points else parts.index(position.keypoint)
+            cell = (body + further) * len(parts) + part
+            positions.reshape(-1, 2)[cell] = _places(number, position.columns)[own]
+            score = position.score or found.confidence
+            if confidence is not None and score:
+                confidence.reshape(-1)[cell] = number[score][own]
+        more_of = {key: np.full(shape[:2], np.nan) for key in extra}
+        for key, values in more_of.items():
+            values.reshape(-1)[body] = number[extra[key]][own]
+        tracks.append(
+            Tracks(
+                recording=name,
+                individuals=tuple(individuals),
+                keypoints=tuple(parts),
+                positions=positions,
+                frame_rate=fps,
+                unit=found.unit or "px",
+                y_down=y_down,
+                confidence=confidence,
+                signals=more_of,
+                start=first,
+                start_time=float(start[at]),
+                provenance=told | {"read_as": read_as} | ({"notes": notes} if notes else {}),
+            )
+        )
+    return _centre_arenas(tracks) if found.arena else tracks
+
+
+def _places(number: Mapping[str, Floats], columns: Sequence[str]) -> Floats:
+    """Return x and y ``(rows, 2)`` of two columns, or the centre of the edges of a box."""
+    x, y = (np.mean([number[name] for name in columns[axis::2]], axis=0) for axis in (0, 1))
+    return np.stack([x, y], axis=1)
+
+
+def _recordings_of(
+    path: Path, found: Columns, word: Mapping[str, tables.Words], zeros: Whole
+) -> tables.Words:
+    """Return the recording of each row: that of a column, an arena of it, else of the file."""
+    stem = Path(path.name.removesuffix(tables.PACKED)).stem
+    sets = word.get(found.recording or "", tables.Words([stem], zeros))
+    arenas = word.get(found.arena or "", tables.Words([""], zeros))
+    if len(arenas.entries) == 1:
+        return sets
+    pairs, number = np.unique(
+        sets.number * len(arenas.entries) + arenas.number, return_inverse=True
+    )
+    names = [
+        f"{sets.entries[pair // len(arenas.entries)]}/{arenas.entries[pair % len(arenas.entries)]}"
+        for pair in pairs.tolist()
+    ]
+    return tables.Words(names, number.astype(np.int64))
+
+
+def _bodies_of(
+    path: Path, found: Columns, word: Mapping[str, tables.Words], zeros: Whole, stated: bool
+) -> tuple[list[str], Whole, list[str], Whole]:
+    """Return names of individuals and of keypoints that rows are of, and for each row which one.
+
+    No names: the header has them. A column of individuals may name parts of bodies: ``nose``.
+    """
+    none = tables.Words([], zeros)
+    bodies, points = (word.get(name or "", none) for name in (found.individual, found.keypoint))
+    split = None if stated or points.entries else split_names(bodies.entries)
+    if (
+        split is None
+        and not points.entries
+        and any(map(is_body_part, bodies.entries))
+        and not stated
+    ):
+        column = shlex.quote(f"individual={found.individual}")
+        part = shlex.quote(f"keypoint={found.individual}")
+        raise InputError(
+            f"{path}: column {found.individual!r} names parts of bodies "
+            f"({', '.join(filter(is_body_part, bodies.entries))[:80]}) beside others: say --source "
+            f"long-table --option {part} if all are parts of one individual, --option {column} if "
+            "each is an individual"
+        )
+    if split and any(part != CENTROID for _, part in split):
+        names = list(dict.fromkeys(individual for individual, _ in split))
+        parts = list(dict.fromkeys(part for _, part in split))
+        place = np.array([(names.index(a), parts.index(b)) for a, b in split], dtype=np.int64)
+        who, point = place[bodies.number].T
+        return [name or LONE for name in names], who, parts, point
+    return bodies.entries, bodies.number, points.entries, points.number
+
+
+def _stack_slots(
+    number: dict[str, Floats], word: dict[str, tables.Words], found: Columns
+) -> tuple[dict[str, Floats], dict[str, tables.Words], Columns, Whole]:
+    """Return rows of one individual each, of rows with several whose names stand in columns.
+
+    Last is the row of the table that each is of.
+    """
+    slots = list(found.tracks)
+    own = {name: [p for p in found.positions if p.individual == name] for name in slots}
+    first = own[slots[0]]
+    rows = [np.flatnonzero(word[column].number >= 0) for column in found.tracks.values()]
+    entries = sorted(set(itertools.chain(*(word[c].entries for c in found.tracks.values()))))
+    who = [
+        np.searchsorted(entries, np.array(word[column].entries))[word[column].number[at]]
+        for column, at in zip(found.tracks.values(), rows, strict=True)
+    ]
+    order = np.concatenate(rows)
+    used = set(
+        itertools.chain(*(p.columns for p in found.positions), (p.score for p in found.positions))
+    )
+    stacked = {name: values[order] for name, values in number.items() if name not in used}
+    for at, position in enumerate(first):
+        for k, column in enumerate((*position.columns, position.score)):
+            parts = [(*own[name][at].columns, own[name][at].score)[k] for name in slots]
+            if column is not None:
+                values = [number[str(part)][rows_] for part, rows_ in zip(parts, rows, strict=True)]
+                stacked[column] = np.concatenate(values)
+    words = {
+        name: tables.Words(value.entries, value.number[order])
+        for name, value in word.items()
+        if name not in found.tracks.values()
+    }
+    column = found.tracks[slots[0]]
+    words[column] = tables.Words(entries, np.concatenate(who).astype(np.int64))
+    positions = tuple(replace(position, individual="") for position in first)
+    return stacked, words, replace(found, individual=column, positions=positions, tracks={}), order
+
+
+def _project(path: Path, number: dict[str, Floats], found: Columns) -> str:
+    """Turn longitudes and latitudes [degrees] into metres on a plane around their middle.
+
+    A local equirectangular projection; returns what an import says of it.
+    """
+    (east, north), *_ = (position.columns for position in found.positions)
+    longitude, latitude = number[east], number[north]
+    seen = np.isfinite(longitude) & np.isfinite(latitude)
+    fits = (
+        seen.any() and np.abs(latitude[seen]).max() <= 90 and np.abs(longitude[seen]).max() <= 360
+    )
+    require(
+        fits,
+        f"{path}: columns {east!r} and {north!r} are longitudes and latitudes by their names, but "
+        "hold other numbers than degrees: name the unit by --option unit=m",
+    )
+    first = longitude[seen][0]
+    longitude = first + (longitude - first + 180.0) % 360.0 - 180.0  # across the date line
+    middle = np.median(longitude[seen]), np.median(latitude[seen])
+    per_degree = EARTH * np.pi / 180.0
+    number[east] = per_degree * np.cos(np.radians(middle[1])) * (longitude - middle[0])
+    number[north] = per_degree * (latitude - middle[1])
+    return (
+        f"{east} and {north} are degrees: projected to metres on a plane around longitude "
+        f"{middle[0]:.5f}, latitude {middle[1]:.5f}"
+    )
+
+
+def _with_boxes(table: tables.Table, found: Columns, number: dict[str, Floats]) -> Columns:
+    """Return the same with x1, y1, x2, y2 as a box, where they are no two animals."""
+    corners = corners_of(table.names)
+    if corners != tuple(itertools.chain(*(one.columns for one in found.positions))):
+        return found
+    x1, y1, x2, y2 = (number[name] for name in corners)
+    low, high = np.stack([x1, y1]), np.stack([x2, y2])
+    seen = np.isfinite(low + high).all(axis=0)
+    low, high = low[:, seen], high[:, seen]
+    if not seen.any() or (high > low).all(axis=0).mean() < ORDERED:
+        return found
+    size, centre = high - low, (low + high) / 2
+    if (size.std(axis=1) < STEADY * centre.std(axis=1)).all():
+        return replace(found, positions=(Position(corners),))
+    return found
+
+
+def _notes_on(found: Columns, points: Sequence[str]) -> list[str]:
+    """Return what was taken for a box, for keypoints and for a landmark."""
+    notes = [
+        f"{', '.join(position.columns)} are the edges of a box: its centre is the position"
+        for position in found.positions
+        if len(position.columns) == 4
+    ]
+    named = dict.fromkeys(one.keypoint for one in found.positions if one.keypoint != CENTROID)
+    if parts := [*points, *named]:
+        notes.append(f"taken for keypoints of each individual: {', '.join(parts)}")
+    if found.landmarks:
+        notes.append(f"taken for landmarks, not for animals: {', '.join(found.landmarks)}")
+    return notes
+
+
+def _centre_arenas(tracks: list[Tracks]) -> list[Tracks]:
+    """Return the arenas of a table, each moved to its own middle if they are side by side."""
+    corners = np.array(
+        [[function(one.positions, axis=(0, 1, 2)) for function in (np.nanmin, np.nanmax)]
+         for one in tracks]
+    )  # fmt: skip
+    low, high = corners[:, None, 0], corners[None, :, 1]
+    apart = (low > high).any(axis=2)
+    if not (apart | apart.T | np.eye(len(tracks), dtype=bool)).all():
+        return tracks
+    return [
+        replace(one, positions=one.positions - middle)
+        for one, middle in zip(tracks, corners.mean(axis=1), strict=True)
+    ]
+
+
+def _in_natural_order(entries: list[str], numbers: Whole) -> tuple[list[str], Whole]:
+    """Return those entries that occur, 2 before 10, and the place of each entry among these."""
+
+    def pieces(number: int) -> list[tuple[int, int, str]]:
+        parts = re.findall(r"\d+|\D+", entries[number])
+        return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+
+    order = sorted(np.unique(numbers).tolist(), key=pieces)
+    place = np.zeros(len(entries), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return [entries[number] for number in order], place
+
+
+def frame_numbers(table: tables.Table, column: str, frames: NDArray[np.float64]) -> Whole:
+    """Return frames as whole numbers, or refuse what is none."""
+    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
+    if bad.any():
+        at = int(bad.argmax())
+        raise InputError(
+            f"{table.path}: {table.place(at)}, column {column!r} holds {frames[at]:g}: give whole "
+            "numbers from 0"
+        )
+    return frames.astype(np.int64)
+
+
+def refuse_two_rows(
+    table: tables.Table,
+    recording: str,
+    cell: Whole,
+    individuals: list[str],
+    rows: Whole,
+    first: int = 0,
+) -> None:
+    """Refuse a second row of one frame and individual; ``rows`` are those of the table."""
+    twice = np.flatnonzero(np.bincount(cell) > 1)
+    if len(twice):
+        frame, who = divmod(int(twice[0]), len(individuals))
+        second = int(np.flatnonzero(cell == twice[0])[1])
+        before = cell[:second][cell[:second] % len(individuals) == who]
+        require(
+            before.max() == twice[0],
+            f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
+            "session: add a column recording that tells the sessions apart, or split the file",
+        )
+        raise InputError(
+            f"{table.path}: {recording}, frame {first + frame}, {individuals[who]} has two rows: "
+            "drop the duplicate, or name the recording column"
+        )
+
+
+def _is_sparse(frames: Whole, recording: Whole, individuals: int) -> bool:
+    """Whether few of the frames between first and last hold a row, as in a film of short visits."""
+    first = np.full(int(recording.max()) + 1, LARGEST_FRAME)
+    last = np.zeros_like(first)
+    np.minimum.at(first, recording, frames)
+    np.maximum.at(last, recording, frames)
+    cells = int((last - first + 1).max()) * individuals
+    return individuals > 1 and cells > max(SPARSE * len(frames), SMALL)
+
+
+def _check_extent(
+    table: tables.Table, recording: str, shape: tuple[int, ...], frames: Whole, rows: Whole
+) -> None:
+    """Refuse a frame so late that the recording would take more memory than the file may ask."""
+    size = math.prod(shape) * 16
+    if size > allowed_bytes(table.path.stat().st_size):
+        last = int(frames.argmax())
+        raise InputError(
+            f"{table.path}: {table.place(int(rows[last]))} is of frame {frames[last]}, with which "
+            f"recording {recording} would take {size / 2**20:,.0f} MiB, more "
+            f"than {EXPANSION} times the file: correct it"
+        )
