@@ -189,7 +189,7 @@ def split_individuals(tracks: Tracks) -> list[Tracks]:
     return [
         replace(
             one, recording=f"{tracks.recording}/{one.individuals[0]}", individuals=(LONE,),
-            provenance=tracks.provenance | note,
+            provenance={**tracks.provenance, **note},
         )
         for one in alone
         if len(one) > 1
