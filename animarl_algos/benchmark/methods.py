@@ -41,7 +41,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation import collect
 from animarl_algos.evaluation.classifier import tracked_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.evaluation.teams import roll_out_teams, teams_of
 from animarl_algos.learner.callbacks import TERMINATED
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_world import training_options
@@ -253,15 +253,14 @@ def expert_rollouts(
     teams = teams_of(demos)
     if teams is None:
         raise InputError(f"{demos.name}: who made it is not known: leave 'experts' out")
-    test = demos.select(split="test")
-    parts = []
-    for condition in np.unique(test.condition).tolist():
-        own = np.flatnonzero(test.condition == condition)
-        made = teams[condition].roll_out(
-            species, test.select(episodes=own), name="experts", seed=seed, repetitions=repetitions
-        )
-        parts.append(replace(made, demo=own[made.demo]))
-    return Rollouts.concatenate(parts, "experts")
+    return roll_out_teams(
+        teams,
+        teams[0].embody(species),
+        demos.select(split="test"),
+        name="experts",
+        seed=seed,
+        repetitions=repetitions,
+    )
 
 
 def recordings_of_other_starts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:

@@ -62,22 +62,53 @@ class Team:
     observation: str
     reseed: Callable[[int], None] | None = None
 
+    def embody(self, species: Species) -> Species:
+        """Return a species with the locomotion and the observation of the team."""
+        return replace(species, locomotion=self.locomotion, observation=self.observation)
+
     def roll_out(
         self, species: Species, demos: Demonstrations, *, name: str, seed: int, repetitions: int
     ) -> Rollouts:
-        """From every start of ``demos``, in the world of ``species`` with the team's locomotion.
+        """Return rollouts from every start of ``demos`` in the world of an embodied species.
 
-        A team without randomness of its own does the same again and again, so it does it once.
+        A team without randomness of its own repeats itself, so it is simulated once.
         """
-        world = replace(species, locomotion=self.locomotion, observation=self.observation)
         return collect_rollouts(
-            partial(make_world, make_scenario(world, demos=demos, split=None)),
+            partial(make_world, make_scenario(species, demos=demos, split=None)),
             self.policy,
             method=name,
             seed=seed,
             repetitions=1 if self.reseed is None else repetitions,
             reseed=self.reseed,
         )
+
+
+def roll_out_teams(
+    teams: tuple[Team, Team],
+    species: Species,
+    demos: Demonstrations,
+    *,
+    name: str,
+    seed: int,
+    repetitions: int,
+    condition: int | None = None,
+) -> Rollouts:
+    """Return rollouts of the team of each start's condition, or of one condition.
+
+    ``species`` has the locomotion and the observation of the teams (:meth:`Team.embody`).
+    """
+    parts = []
+    for own in np.unique(demos.condition).tolist():
+        starts = np.flatnonzero(demos.condition == own)
+        made = teams[own if condition is None else condition].roll_out(
+            species,
+            demos.select(episodes=starts),
+            name=name,
+            seed=seed,
+            repetitions=repetitions,
+        )
+        parts.append(replace(made, demo=starts[made.demo]))
+    return Rollouts.concatenate(parts, name)
 
 
 def teams_of(demos: Demonstrations, folder: Path | None = None) -> tuple[Team, Team] | None:

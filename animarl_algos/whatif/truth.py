@@ -6,8 +6,7 @@ starts. Recordings of the other condition show what it does to animals, from sta
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from math import hypot
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,18 +14,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.evaluation.teams import roll_out_teams, teams_of
 from animarl_algos.whatif.changes import ChangedWorld
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import make_scenario
-from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-from animarl_envs.worlds import make_world
 
 Floats = NDArray[np.float64]
 
@@ -124,10 +119,7 @@ class TeamTruth:
             )
         self.teams, self.repetitions = teams, repetitions
         self.test, self.unit = run.demos.select(split="test"), unit_of(run.demos)
-        first, species = teams[0], run.scenario.species
-        self.species: Species = replace(
-            species, locomotion=first.locomotion, observation=first.observation
-        )
+        self.species = teams[0].embody(run.scenario.species)
 
     def check(self, scenario: ChangedWorld) -> None:
         """Raise InputError for a wanted speed or an individual that is removed."""
@@ -148,21 +140,16 @@ class TeamTruth:
     def _simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
         options = scenario.options(self.species, self.unit)
         species = change_world(self.species, reading, **options)
-        starts, asked, parts = scenario.move_starts(self.test, species), scenario.condition, []
-        for condition in np.unique(self.test.condition).tolist():
-            own = np.flatnonzero(self.test.condition == condition)
-            world = make_scenario(species, demos=starts.select(episodes=own), split=None)
-            team = self.teams[condition if asked is None else species.conditions.index(asked)]
-            made = collect_rollouts(
-                partial(make_world, world),
-                team.policy,
-                method="truth",
-                seed=TEAM_SEED,
-                repetitions=1 if team.reseed is None else self.repetitions,
-                reseed=team.reseed,
-            )
-            parts.append(replace(made, demo=own[made.demo]))
-        return Rollouts.concatenate(parts, "truth")
+        starts, name = scenario.move_starts(self.test, species), scenario.condition
+        return roll_out_teams(
+            self.teams,
+            species,
+            starts,
+            name="truth",
+            seed=TEAM_SEED,
+            repetitions=self.repetitions,
+            condition=None if name is None else species.conditions.index(name),
+        )
 
 
 def mean_by_start(rollouts: Rollouts, values: Floats, starts: int) -> Floats:

@@ -257,7 +257,8 @@ def test_the_published_teams_repeat_their_recordings(data_dir: Path, condition: 
     assert teams is not None
     species = species_of(demos, teams[0].locomotion, "agent")
     own, other = (
-        team.roll_out(species, demos, name="team", seed=0, repetitions=5) for team in teams
+        team.roll_out(team.embody(species), demos, name="team", seed=0, repetitions=5)
+        for team in teams
     )
     if condition == 1:
         own, other = other, own
@@ -303,7 +304,7 @@ def test_the_packaged_teams_differ_as_their_recordings_do() -> None:
     assert teams is not None
     for c, team in enumerate(teams):
         starts = demos.select(condition=c)
-        rollouts = team.roll_out(AGENT, starts, name="team", seed=0, repetitions=20)
+        rollouts = team.roll_out(team.embody(AGENT), starts, name="team", seed=0, repetitions=20)
         assert len(rollouts) == 20 * starts.num_episodes
         own = path_lengths(rollouts)[:, :2].mean()
         recordings = path_lengths(Rollouts.from_demonstrations(starts))[:, :2].mean(axis=1)
