@@ -21,7 +21,7 @@ from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.pipeline import rehearse, with_recipe
+from animarl_algos.runs.pipeline import check_run, with_recipe
 from animarl_algos.runs.run_files import versions, write_json
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
@@ -272,7 +272,7 @@ def _cells_in(world: FittedWorld, matrix: Matrix, methods: Mapping[str, str]) ->
     }  # fmt: skip
     for algo in matrix.recipes:
         settings = [matrix.run_settings(world.data, demos, algo, seed) for seed in matrix.seeds]
-        rehearse(settings[0], demos)
+        check_run(settings[0], demos)
         yield from (Cell(**shared, method=algo, seed=s.seed, settings=s) for s in settings)
     for name, factory in methods.items():
         yield from (Cell(**shared, method=name, seed=s, factory=factory) for s in matrix.seeds)

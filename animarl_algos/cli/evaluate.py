@@ -70,7 +70,7 @@ def evaluate_command(
     from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.evaluating import evaluate_runs, lacking
+    from animarl_algos.runs.evaluating import evaluate_runs, missing_baselines
     from animarl_algos.runs.run import Run
 
     missing: Sequence[str]
@@ -83,7 +83,7 @@ def evaluate_command(
             )
         new = None if demos is None else load(demos)
         found = evaluate_runs(runs, out, demos=new, questions=questions)
-        evaluation, missing, words = found.evaluation, found.lacking, Words.of(found.test)
+        evaluation, missing, words = found.evaluation, found.missing_baselines, Words.of(found.test)
     else:
         if demos is not None:
             raise InputError("--demos needs --out: name a folder for the new evaluation")
@@ -91,7 +91,7 @@ def evaluate_command(
             raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
         run = Run(runs[0], acting)
         evaluation = pipeline.evaluate_run(run, questions)
-        missing, words = lacking(run), Words.of(run.demos)
+        missing, words = missing_baselines(run), Words.of(run.demos)
     console = PlainConsole(WIDTH)
     if details:
         console.print(evaluation_table(evaluation, words))

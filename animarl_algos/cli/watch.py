@@ -203,7 +203,7 @@ def prepare(
                 f"{run.path}: it was trained as {settings.species}, not as {name}: watch "
                 f"{environment_id(settings.species)}"
             )
-        shown = run.shown_with(demos if isinstance(demos, Demonstrations) else None)
+        shown = run.check_demonstrations(demos if isinstance(demos, Demonstrations) else None)
         if run.has_policy(settings.algo):
             run.acting(settings.algo)  # chosen already: watching chooses none
         run.policy.policy.seed(seed)
@@ -227,7 +227,7 @@ def prepare(
     drivers = {name: "action" if name in driven else other for name in names}
     world = make_world(make_scenario(species, drivers=drivers, **options), 1)
     if run is not None and not replayed:
-        return world, trained_actor(run.for_all(run.policy))
+        return world, trained_actor(run.as_joint_policy(run.policy))
     return world, programmed_actor(world.scenario, seed) if programmed else idle_actor
 
 

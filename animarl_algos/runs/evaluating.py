@@ -48,7 +48,7 @@ INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 
 def roll_out(run: Run) -> dict[str, Rollouts]:
-    """Roll out every method from each test demonstration's start, told what is so."""
+    """Roll out every method from each test start, with the true condition flag."""
     rollouts, folder = _rolled_out(run), run.path / "rollouts"
     for name, some in rollouts.items():
         some.save(folder / f"{name}.npz")
@@ -98,7 +98,7 @@ def _rolled_out(
     }
 
 
-def lacking(run: Run) -> list[str]:
+def missing_baselines(run: Run) -> list[str]:
     """Return what the run was asked for but does not have, each with the command that adds it."""
     return [
         f"{run.path}: it has no trained {method_name(algo)} to compare with: add it with "
@@ -215,12 +215,12 @@ class EvaluatedRuns:
         )
 
     @cached_property
-    def lacking(self) -> list[str]:
+    def missing_baselines(self) -> list[str]:
         """What there is nothing of to compare with, each with what adds it, in sentences."""
         baseline, found = method_name(BEHAVIOUR_CLONING), []
         if baseline not in self.rollouts:
             file = shlex.quote(self.runs.first.settings.file)
-            found = [sentence for run in self.runs.runs for sentence in lacking(run)] or [
+            found = [sentence for run in self.runs.runs for sentence in missing_baselines(run)] or [
                 f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
                 f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
             ]

@@ -47,7 +47,7 @@ def open_run(
     if demos is None:
         demos = load_demonstrations(settings.file, settings.source, settings.species)
     settings, reasons = with_recipe(settings, demos)
-    rehearse(settings, demos)
+    check_run(settings, demos)
     run = Run(out)
     run.path.mkdir(parents=True, exist_ok=True)
     with run.lock():
@@ -64,7 +64,7 @@ def with_recipe(settings: RunSettings, demos: Demonstrations) -> tuple[RunSettin
     return settings.changed(cloning=name), {"cloning": reason}
 
 
-def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
+def check_run(settings: RunSettings, demos: Demonstrations) -> None:
     """Make the environment and the learners once, so that what does not fit is refused now.
 
     Raises InputError: whatever making them, or beginning to learn, would refuse.
@@ -135,7 +135,7 @@ def learn(run: Run, algo: str, *, progress_bar: bool = True) -> SequenceQLearnin
         unfinished = latest is not None and online and steps_done(latest) < settings.steps
         if run.has_policy(algo) and not unfinished:
             run.load_policy(algo, model)
-            return run.let_act(algo, model)
+            return run.set_acting_rule(algo, model)
         if latest is not None:
             load_checkpoint(model, checkpoints)
         session = logs / algo / f"{len(list((logs / algo).glob('[0-9]*'))):03d}"
@@ -152,9 +152,9 @@ def learn(run: Run, algo: str, *, progress_bar: bool = True) -> SequenceQLearnin
                 progress_bar=progress_bar,
             )
         run.acting_file(algo).unlink(missing_ok=True)  # chosen for another policy
-        run.tell_traits_louder(algo, model)
+        run.amplify_trait_inputs(algo, model)
         run.save_policy(algo, model)
-        return run.let_act(algo, model)
+        return run.set_acting_rule(algo, model)
 
 
 def learn_all(run: Run, *, progress_bar: bool = True) -> None:

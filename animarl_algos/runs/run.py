@@ -230,7 +230,7 @@ class Run:
                 )
         return run_world.select_individuals(demos, self.environment_options)
 
-    def shown_with(self, given: Demonstrations | None) -> Demonstrations:
+    def check_demonstrations(self, given: Demonstrations | None) -> Demonstrations:
         """Return the demonstrations that the run is shown with: those ``given``, or else its own.
 
         Given ones also stand in for those that an exported model came without. Raises InputError if
@@ -352,7 +352,7 @@ class Run:
             )
         model = self.learner(algo, self.environment())
         self.load_policy(algo, model)
-        return self.let_act(algo, model)
+        return self.set_acting_rule(algo, model)
 
     def untrained(self) -> SequenceQLearning:
         """Return the network that the training of the run began with."""
@@ -381,7 +381,7 @@ class Run:
     # -- how they act -----------------------------------------------------------------------------
 
     def acting_file(self, algo: str) -> Path:
-        """Return where the rule that was chosen stands, with the candidates."""
+        """Return the file of the chosen rule and its candidates."""
         return self.path / "policies" / f"{algo}.acting.json"
 
     def acting(self, algo: str) -> Acting:
@@ -404,16 +404,19 @@ class Run:
                 f"{file}: it is damaged ({error}): remove it and train again"
             ) from None
 
-    def let_act(self, algo: str, model: SequenceQLearning) -> SequenceQLearning:
-        """Let the trained ``model`` act by its rule, which is chosen where there is none yet."""
+    def set_acting_rule(self, algo: str, model: SequenceQLearning) -> SequenceQLearning:
+        """Set the acting rule of a trained ``model``; choose it if there is none yet."""
         asked = self.acting_rule or self.settings.acting
         if asked == CHOSEN and not self.acting_file(algo).exists():
             self._choose_acting(algo, model)
         model.policy.acting = self.acting(algo)
         return model
 
-    def tell_traits_louder(self, algo: str, model: SequenceQLearning) -> None:
-        """Amplify what a ``model`` of animals that differ is told of them, and note by how much."""
+    def amplify_trait_inputs(self, algo: str, model: SequenceQLearning) -> None:
+        """Scale a model's trait inputs so that simulated animals differ as much as recorded ones.
+
+        The factors are recorded under ``reasons``.
+        """
         traits, seed = self.species.traits, self.settings.seed
         if traits is None:
             return
@@ -447,13 +450,13 @@ class Run:
         run_files.write_json(self.acting_file(algo), choice.to_json())
 
     def _acting_by(self, model: SequenceQLearning, rule: Acting, seed: int) -> Policy:
-        """Let the ``model`` act by a rule, its draws seeded anew, for all individuals."""
+        """Return the joint policy of a ``model`` with an acting rule and newly seeded draws."""
         model.policy.acting = rule
         model.policy.seed(seed)
-        return self.for_all(model)
+        return self.as_joint_policy(model)
 
-    def for_all(self, policy: Policy) -> Policy:
-        """Return a policy that is asked for all individuals, also where one alone learned."""
+    def as_joint_policy(self, policy: Policy) -> Policy:
+        """Return a policy that acts for all individuals, even if only one of them learned."""
         focal = self.settings.focal
         if focal is None or not isinstance(policy, SequenceQLearning):
             return policy
@@ -486,11 +489,11 @@ class Run:
         wrap: Callable[[Policy], Policy] = lambda policy: policy,
         make: Callable[[int], Any] | None = None,
     ) -> Rollouts:
-        """Return rollouts of a policy from every start of a world, told ``cue``.
+        """Return rollouts of a policy from every start of a world, with the condition flag ``cue``.
 
-        Whatever it is told, a policy gets the same random numbers, and so does the world. ``wrap``
-        returns what acts in its place, ``make`` copies of a world. World, ``repetitions`` and
-        ``seed`` are by default the run's.
+        Whatever the flag is, policy and world get the same random numbers. ``wrap`` wraps the
+        policy, ``make`` makes copies of a world. World, ``repetitions`` and ``seed`` are by default
+        the run's.
         """
 
         def reseed(seed: int) -> None:
@@ -499,7 +502,7 @@ class Run:
 
         return collect_rollouts(
             make or partial(make_world, scenario or self.scenario),
-            wrap(self.for_all(policy)),
+            wrap(self.as_joint_policy(policy)),
             method=name,
             seed=self.settings.seed if seed is None else seed,
             repetitions=repetitions or self.settings.repetitions,
@@ -519,7 +522,7 @@ class Run:
         wrap: Callable[[Policy], Policy] = lambda policy: policy,
         **options: Any,
     ) -> Rollouts:
-        """Let the policy drive everybody who learned, in the run's world or in another one.
+        """Simulate the individuals that learned, in the run's world or in a changed one.
 
         Rollouts of one seed meet the same random numbers, whatever the options, so that two of them
         differ by what was changed alone.
@@ -543,14 +546,14 @@ class Run:
             same inputs as ever for the same places and velocities; ``"knows"``, its own motion in
             units of its changed body (:data:`animarl_envs.species.base.Reading`).
         wrap
-            Returns what acts in the policy's place, such as a policy that counts what it sees.
+            Wraps the policy, such as by one that counts its inputs.
         options
             Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
             as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
         """
         if changed := run_world.changed_inputs(self.species, options):
             raise InputError(
-                f"{changed} changes what the policy is shown, who has not learned from that: "
+                f"{changed} changes the inputs of the policy, which has not learned with it: "
                 "train a run with it"
             )
         species = change_world(self.species, reading, **options)
@@ -580,12 +583,12 @@ class Run:
 
 
 def _cue(model: SequenceQLearning) -> Cue | None:
-    """What a learner is told of the condition where it is compared with recordings."""
+    """Return the condition flag of rollouts that are compared with recordings."""
     return "actual" if model.layout.condition_flag else None
 
 
 def method_name(algo: str) -> str:
-    """Return how a learner is called in tables and figures."""
+    """Return the name of a learner in tables and figures."""
     return algo.upper()
 
 

@@ -15,7 +15,7 @@ from animarl_algos.data import species_data
 from animarl_algos.data.dataset import OfflineDataset, mirror_columns
 from animarl_algos.data.species_data import SpeciesDemonstrations, soft_labels
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.runs.pipeline import rehearse
+from animarl_algos.runs.pipeline import check_run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs import SPECIES
 from animarl_envs.arena import Arena
@@ -354,7 +354,7 @@ def test_memory_is_said_before_it_is_taken(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(InputError, match=said):
         _ = env.offline_data().train
     with pytest.raises(InputError, match=said):  # before anything is fitted
-        rehearse(RunSettings(species="shoal", steps=1), load_packaged("shoal"))
+        check_run(RunSettings(species="shoal", steps=1), load_packaged("shoal"))
     monkeypatch.undo()
     # Nor is there a replay memory for a learner that never acts.
     memory = SoftBC("MlpPolicy", env, seed=0).replay_buffer

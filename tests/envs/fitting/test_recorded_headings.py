@@ -135,7 +135,7 @@ def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -
     assert spec.turning == tuple(fit_turning(training, i) for i in range(3))
     rolled = loaded.simulate(split="test", repetitions=2)
     assert np.isfinite(rolled.positions).all()
-    with pytest.raises(InputError, match="senses_heading changes what the policy is shown"):
+    with pytest.raises(InputError, match="senses_heading changes the inputs of the policy"):
         loaded.simulate(senses_heading=False)
     told = refuses("headings of their own", page_model, loaded)
     without = {"senses_heading": False, "turning": None}
