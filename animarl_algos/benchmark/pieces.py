@@ -310,7 +310,7 @@ def perform_all(
     if backend == "ray":
         from ray.util.joblib import register_ray
 
-        register_ray()
+        register_ray()  # type: ignore[no-untyped-call]
         returned = "list"  # of joblib's ways the only one that Ray's backend has
     for stage in stages:
         left = [piece for piece in stage if not piece.finished(out) and piece.ready(out)]

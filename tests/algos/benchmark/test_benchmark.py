@@ -354,6 +354,17 @@ def test_commands_share_the_pieces(
     assert not done.errors and bytes_of(tmp_path) == bytes_of(finished)
 
 
+@pytest.mark.slow
+def test_benchmark_runs_on_a_ray_cluster(finished: Path, tmp_path: Path) -> None:
+    pytest.importorskip("ray").init(num_cpus=2, include_dashboard=False)
+    asked = plan(tiny())
+    claim_folder(tmp_path)
+    ended = list(perform_all(asked.stages, tmp_path, 2, "ray"))
+    assert len(ended) == 1 + 4 + 3 and not any(error for _, error in ended)
+    write_leaderboard(asked, tmp_path)
+    assert bytes_of(tmp_path) == bytes_of(finished)
+
+
 def test_benchmark_command_lists_and_refuses(
     animarl: Callable[..., Ended], finished: Path, tmp_path: Path
 ) -> None:
