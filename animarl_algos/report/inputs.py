@@ -55,7 +55,7 @@ class PageInputs:
     @property
     def recorded(self) -> str:
         """What the demonstrations are called: recorded only if they were."""
-        return self.words.say("recorded")
+        return self.words.adapt("recorded")
 
     @cached_property
     def stage(self) -> Stage:

@@ -68,7 +68,7 @@ def play(
         walls = "The outline is a wall."
     near = "The dotted ring shows how near is contact; it is drawn thick while there is any."
     around = walls if stage.contact_radius is None else f"{walls} {near}"
-    return Player(data, f"{inputs.words.say(said)} {around}")
+    return Player(data, f"{inputs.words.adapt(said)} {around}")
 
 
 def view(

@@ -30,7 +30,7 @@ def run_page(inputs: ReportInputs) -> Page:
     """Return the page: the verdict and the player, then every section that has blocks."""
     demos, evaluation = inputs.demos, inputs.evaluation
     found = evaluation.verdict
-    said = [*map(inputs.words.say, implausible(found)), *inputs.warnings]
+    said = [*map(inputs.words.adapt, implausible(found)), *inputs.warnings]
     said += cautions(evaluation.comparison, inputs.learner, demos.synthetic)
     episodes = [(f"{split} episodes", str(count)) for split, count in inputs.episodes.items()]
     statistics = [
@@ -95,7 +95,7 @@ def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
                 f"start {demo}: {distance}{ending}",
                 below=True,
             )
-            what = words.say(f"Simulated and recorded paths of test demonstration {demo}")
+            what = words.adapt(f"Simulated and recorded paths of test demonstration {demo}")
             images.append(to_image(figure, f"{what}, {distance} {words.unit_of(DTW)}"))
         where = f" Condition: {condition}." if condition else ""
         yield Gallery(
@@ -128,12 +128,12 @@ def _distributions(inputs: ReportInputs) -> Iterator[Block]:
     images = []
     for title, axis, first, second in shown:
         one, other = (words.unit.per_arena_unit * side.ravel() for side in (first, second))
-        figure = figures.histograms(one, other, axis, title, words.say("recorded"))
-        alt = words.say(f"Histogram of {axis}: {title}, simulated over recorded")
+        figure = figures.histograms(one, other, axis, title, words.adapt("recorded"))
+        alt = words.adapt(f"Histogram of {axis}: {title}, simulated over recorded")
         images.append(to_image(figure, alt))
     yield Gallery(
         images,
-        words.say(
+        words.adapt(
             "Speed of every step and distance to the nearest other in every frame, recorded "
             f"(filled) and simulated by {method_label(inputs.learner)} (line), all episodes, on "
             f"shared bins; areas sum to one. {len(recorded.positions):,} recorded and "
@@ -143,9 +143,9 @@ def _distributions(inputs: ReportInputs) -> Iterator[Block]:
 
 
 def _metrics(inputs: ReportInputs) -> Iterator[Block]:
-    evaluation, say = inputs.evaluation, inputs.words.say
+    evaluation, adapt = inputs.evaluation, inputs.words.adapt
     yield Text(
-        say(
+        adapt(
             "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
             "interval; the dashed line is the recorded mean. Intervals add the margin of "
             f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that "
@@ -158,7 +158,7 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
     measured = set(evaluation.comparison["measure"])
     for metric in (m for m in METRICS if m.caption and m.key in measured):
         yield Text(metric.label, "heading")
-        yield Gallery(list(_metric_images(inputs, metric)), say(metric.caption))
+        yield Gallery(list(_metric_images(inputs, metric)), adapt(metric.caption))
     table = comparison_as_table(
         evaluation, inputs.words, list(countings(evaluation.comparison)), inputs.learner
     )

@@ -55,8 +55,8 @@ def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -
         verdict.judgement,
         verdict.colour,
         MARKS[verdict.judgement],
-        words.say(f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"),
-        [words.say(sentence) for sentence in _evidence(verdict)],
+        words.adapt(f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"),
+        [words.adapt(sentence) for sentence in _evidence(verdict)],
         cautions,
     )
 
@@ -64,7 +64,7 @@ def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -
 def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
     """Return the verdict in a few sentences."""
     said = f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"
-    return words.say(" ".join([said, *_evidence(verdict)]))
+    return words.adapt(" ".join([said, *_evidence(verdict)]))
 
 
 def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
@@ -80,7 +80,7 @@ def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
         unit = "%" if row.unit == SHARE else row.unit
         values = f"{lower_first(row.label)} {one} for {other} {unit}".rstrip()
         lines.append(f"  {MARKS[row.judgement]} {values} ({row.judgement})")
-    return [words.say(line) for line in [*lines, *_evidence(verdict)[:1]]]
+    return [words.adapt(line) for line in [*lines, *_evidence(verdict)[:1]]]
 
 
 def _evidence(verdict: Verdict) -> list[str]:
@@ -112,11 +112,11 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
             (row.label, row.judgement, *_in_tolerances(row))
             for row in sorted(verdict.rows(), key=farness)
         ],
-        words.say,
+        words.adapt,
     )
     yield Gallery(
-        [to_image(strip, words.say("Difference of every question in units of its tolerance"))],
-        words.say(
+        [to_image(strip, words.adapt("Difference of every question in units of its tolerance"))],
+        words.adapt(
             "Each question as the difference of simulated and recorded, in units of its tolerance, "
             "with its interval; within the band it is alike. Arrows leave the picture."
         ),
@@ -130,13 +130,13 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         "Score\n[95 %]": lambda row: with_interval(interval(row)),
     }
     for one in REFERENCES:
-        columns[words.say(one).capitalize()] = lambda row, one=one: number(row.get(one, math.nan))
+        columns[words.adapt(one).capitalize()] = lambda row, one=one: number(row.get(one, math.nan))
     whole = scores["component"].fillna("") == ""
     yield tabulate(
         "Realism",
         {"Kind": lambda row: str(row["kind"]), **columns},
         [("", scores[whole][::-1])],
-        words.say(
+        words.adapt(
             "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
             "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
             "recording itself in place of its rollouts, other recordings, and random actions."
@@ -184,15 +184,15 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
         "Verdict",
         {
             "Question": question,
-            "Verdict": lambda row: words.say(str(row["verdict"])),
-            words.say("Recorded"): scaled("recorded"),
+            "Verdict": lambda row: words.adapt(str(row["verdict"])),
+            words.adapt("Recorded"): scaled("recorded"),
             "Simulated": scaled("simulated"),
             "Difference\n[95 %]": difference,
             "Tolerance": tolerance,
             **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
         },
         [("", verdict.table)],
-        words.say(_caption(verdict)),
+        words.adapt(_caption(verdict)),
         left=2,
         faint=lambda row: row["judgement"] == ALIKE,
     )
@@ -240,7 +240,7 @@ def comparison_as_table(
     comparison = evaluation.comparison
     shown = [m for m in METRICS if m.heading and (comparison["measure"] == m.key).any()]
 
-    def told(
+    def format_rows(
         metric: Metric, write: Callable[[Any], str], of: str = ""
     ) -> Callable[[tuple[str, str]], str]:
         def cell(one: tuple[str, str]) -> str:
@@ -256,13 +256,15 @@ def comparison_as_table(
 
     columns: dict[str, Callable[[Any], str]] = {
         "method": lambda one: words.label(one[0]),
-        "n": told(PATH_LENGTH, lambda row: str(int(row["rollouts"]))),
+        "n": format_rows(PATH_LENGTH, lambda row: str(int(row["rollouts"]))),
     }
     for metric in shown:
         unit = f"\n({words.unit_of(metric)})" if metric.is_length else ""
-        columns[metric.heading + unit] = told(metric, partial(words.told, metric=metric))
+        columns[metric.heading + unit] = format_rows(
+            metric, partial(words.format_value, metric=metric)
+        )
         if metric.has_distribution:
-            columns[ENERGY + metric.heading.partition(",")[0]] = told(
+            columns[ENERGY + metric.heading.partition(",")[0]] = format_rows(
                 metric, partial(energy, factor=words.factor(metric)), ENERGY
             )
     names = [str(name) for name in comparison["method"].unique()]
@@ -270,7 +272,7 @@ def comparison_as_table(
         "Comparison",
         columns,
         [(COUNTING[rule].capitalize(), [(name, rule) for name in names]) for rule in countings],
-        words.say(
+        words.adapt(
             "Mean [95 % interval] over recordings and training seeds; n: episodes. Energy: energy "
             "score, in brackets what recordings of the other starts score; below it a simulator "
             "uses its start."
@@ -291,7 +293,7 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
 def evaluation_table(evaluation: Evaluation, words: Words = DEMONSTRATED) -> TerminalTable:
     """Return the comparison for the terminal."""
     table = comparison_as_table(evaluation, words, ["all"])
-    title = words.say(f"Simulated against recorded, {COUNTING['all']}")
+    title = words.adapt(f"Simulated against recorded, {COUNTING['all']}")
     return terminal_table(table, title, wrapped=False)
 
 

@@ -28,7 +28,7 @@ WITHOUT_GOAL = {"pursuers (or the moth's)": "animals", ": all episodes, and capt
 
 @dataclass(frozen=True)
 class Words:
-    """How one report speaks: whether demonstrations were generated, the unit of lengths, and
+    """Vocabulary of a report: whether demonstrations are synthetic, the unit of lengths, and
     whether there is anything to reach."""
 
     synthetic: bool = False
@@ -39,8 +39,8 @@ class Words:
     def of(cls, demos: Demonstrations) -> Words:
         return cls(demos.synthetic, unit_of(demos), demos.has_goal)
 
-    def say(self, text: str) -> str:
-        """Return a text that speaks of recordings, as it is true of these demonstrations."""
+    def adapt(self, text: str) -> str:
+        """Return a text about recordings, adapted to synthetic demonstrations or free animals."""
         for words, instead in () if self.has_goal else WITHOUT_GOAL.items():
             text = text.replace(words, instead)
         if not self.synthetic:
@@ -54,10 +54,10 @@ class Words:
 
     def label(self, method: str) -> str:
         """Return a method's name, or what its demonstrations are called."""
-        return self.say(method) if method.casefold() == RECORDED else method_label(method)
+        return self.adapt(method) if method.casefold() == RECORDED else method_label(method)
 
     def unit_of(self, metric: Metric) -> str:
-        """Return the unit that a metric's values are told in."""
+        """Return the unit of a metric's values."""
         return "%" if metric.share else metric.unit.replace(ARENA_UNITS, self.unit.name)
 
     def axis(self, metric: Metric) -> str:
@@ -66,15 +66,15 @@ class Words:
         return f"{metric.label} ({unit})" if unit else metric.label
 
     def factor(self, metric: Metric) -> float:
-        """Return by what the tables' values are multiplied, where they are not shares."""
+        """Return the factor from the tables' values to the unit of the report."""
         return self.unit.per_arena_unit if metric.is_length else 1.0
 
     def interval(self, row: Any, metric: Metric) -> Interval:
-        """Return what a row is about with its interval, in the unit told (shares as shares)."""
+        """Return the value of a row with its interval, in the unit of the report."""
         return scaled(UNDEFINED if row is None else interval(row), self.factor(metric))
 
-    def told(self, row: Any, metric: Metric) -> str:
-        """Return the same as text, shares in percent; a dash where there is no row."""
+    def format_value(self, row: Any, metric: Metric) -> str:
+        """Return the value of a row as text, shares in percent; a dash if there is no row."""
         return with_interval(self.interval(row, metric), metric.share)
 
     @property

@@ -222,7 +222,7 @@ docs/faithful.md says how to read the table.
 
 ## Limits
 
-{lines(f"- {words.say(limit)}" for limit in _limits(run, verdict))}
+{lines(f"- {words.adapt(limit)}" for limit in _limits(run, verdict))}
 
 ## Settings
 
