@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from animarl_algos.cli.describing import hints, report, show, wide_console
+from animarl_algos.cli.evaluate import MEASURE, PRIMARY, TOLERANCE
 from animarl_algos.cli.main import SETTINGS
 from animarl_algos.cli.shared import SOURCE, helps, load, refuse_overwriting, write_csv
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -53,8 +54,8 @@ def sources_command() -> None:
 
 
 @app.command("show")
-@helps(file=FILE)
-def show_command(file: str) -> None:
+@helps(file=FILE, measure=MEASURE)
+def show_command(file: str, measure: list[str] | None = None) -> None:
     """Show a file: individuals, episodes, durations, speeds, outcomes, provenance.
 
     Examples:
@@ -62,8 +63,54 @@ def show_command(file: str) -> None:
       animarl data show demos.npz
 
       animarl data show agent
+
+      animarl data show demos.npz --measure my_index.py:axis_index
     """
-    show(load(file))
+    from animarl_algos.evaluation.own_measures import measured_recordings, register_measures
+
+    own = register_measures(measure)
+    demos = load(file)
+    show(demos)
+    for line in measured_recordings(own, demos):
+        wide_console().print(line)
+
+
+@app.command("compare")
+@helps(
+    file=FILE,
+    conditions="Two conditions, such as control,drug; by default the first two of the file.",
+    tolerance=TOLERANCE,
+    primary=PRIMARY,
+    measure=MEASURE,
+    seed="Of the exchanges of recordings between the conditions.",
+)
+def compare_command(
+    file: str,
+    conditions: str | None = None,
+    tolerance: list[str] | None = None,
+    primary: list[str] | None = None,
+    measure: list[str] | None = None,
+    seed: int = 0,
+) -> None:
+    """Compare recordings of two conditions, as a verdict compares simulated with recorded ones.
+
+    Each row is the second condition minus the first. The unit is the recording.
+
+    Example:
+
+      animarl data compare both.npz --conditions sham,lesion --primary speed
+    """
+    from animarl_algos.evaluation.conditions import compare_conditions
+    from animarl_algos.evaluation.own_measures import register_measures
+    from animarl_algos.evaluation.verdict_rows import Questions
+    from animarl_algos.report.verdict_section import conditions_as_table, terminal_table
+
+    register_measures(measure)
+    names = None if conditions is None else conditions.split(",")
+    questions = Questions.parse(tolerance or (), primary or ())
+    found = compare_conditions(load(file), names, questions, seed=seed)
+    console = wide_console()
+    console.print(terminal_table(conditions_as_table(found), found.headline, wrapped=True))
 
 
 @app.command("check")

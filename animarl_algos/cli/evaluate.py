@@ -26,6 +26,10 @@ TOLERANCE = Option(
     help="NAME=NUMBER: how much of this measure may differ and still count as alike; repeatable."
 )
 PRIMARY = Option(help="A measure chosen before looking, tested at a level of its own; repeatable.")
+MEASURE = Option(
+    help="FILE.py:FUNCTION, a measure of your own of positions, dt and roles; the file is run. "
+    "Repeatable."
+)
 DETAILS = Option("--details", help="Print the tables.")
 COLOURS = {"none": "none", "some": "yellow", "red": "red"}
 
@@ -39,6 +43,7 @@ COLOURS = {"none": "none", "some": "yellow", "red": "red"}
     "import' or the name of a packaged set.",
     tolerance=TOLERANCE,
     primary=PRIMARY,
+    measure=MEASURE,
     details=DETAILS,
 )
 def evaluate_command(
@@ -48,6 +53,7 @@ def evaluate_command(
     demos: str | None = None,
     tolerance: list[str] | None = None,
     primary: list[str] | None = None,
+    measure: list[str] | None = None,
     details: bool = False,
 ) -> None:
     """Compare trained runs with their recordings and with each other.
@@ -66,6 +72,7 @@ def evaluate_command(
 
       animarl evaluate runs/agents --primary speed --tolerance turning=0.2 --details
     """
+    from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.evaluation.verdict_rows import Questions
     from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
@@ -74,6 +81,7 @@ def evaluate_command(
     from animarl_algos.runs.run import Run
 
     missing: Sequence[str]
+    register_measures(measure)
     questions = Questions.parse(tolerance or (), primary or ())
     if out is not None:
         if acting is not None:
@@ -169,6 +177,7 @@ def _say_page(out: Path) -> None:
     knows=Option(
         "--knows", help="Individuals perceive their changed body; by default they act as before."
     ),
+    measure=MEASURE,
 )
 def whatif_command(
     runs: list[Path],
@@ -179,6 +188,7 @@ def whatif_command(
     permutations: int = 0,
     truth: str | None = None,
     knows: bool = False,
+    measure: list[str] | None = None,
 ) -> None:
     """Predict what would happen in a changed world.
 
@@ -206,6 +216,7 @@ def whatif_command(
 
       animarl whatif runs/both --change condition=shared --permutations 20 --truth recordings
     """
+    from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.report.verdict_section import terminal_table
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
@@ -214,6 +225,7 @@ def whatif_command(
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
     from animarl_algos.whatif.truth import find_truth
 
+    register_measures(measure)
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
     known = None if truth is None else find_truth(truth, loaded[0], repetitions)

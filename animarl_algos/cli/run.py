@@ -13,7 +13,7 @@ import typer
 from rich.text import Text
 
 from animarl_algos.cli import shared
-from animarl_algos.cli.evaluate import DETAILS, PRIMARY, TOLERANCE
+from animarl_algos.cli.evaluate import DETAILS, MEASURE, PRIMARY, TOLERANCE
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
@@ -37,6 +37,7 @@ OTHERS = {
         help="Cross-validate in so many folds, 0: never; by default in 5 where the test split has "
         "fewer than 10 recordings, and all splits together have 10 or more.",
     )),
+    "measure": shared.option("measure", list[str] | None, None, MEASURE),
     "neighbours": shared.option("neighbours", int | None, None, typer.Option(
         help="Of a group without a target: how many of the others each one sees, the nearest.",
     )),
@@ -81,7 +82,7 @@ def _options(names: str) -> list[inspect.Parameter]:
 @shared.asks_for(_options(
     "file env species algo preset steps seed out source copies focal neighbours policy device "
     "config cloning fit_method thrusts acting repetitions folds baselines tolerance primary "
-    "details settings"
+    "measure details settings"
 ))  # fmt: skip
 def run_command(**given: Any) -> None:
     """Build a simulator from recordings: fit, train, evaluate, report.
@@ -99,6 +100,7 @@ def run_command(**given: Any) -> None:
       animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
     """
     from animarl_algos.cli.fit import format_fit_table
+    from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.evaluation.verdict import implausible
     from animarl_algos.evaluation.verdict_rows import Questions
     from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
@@ -117,6 +119,7 @@ def run_command(**given: Any) -> None:
         for sentence in sentences:
             console.print(f"WARNING: {sentence}", style="bold yellow")
 
+    register_measures(given["measure"])
     questions = Questions.parse(given["tolerance"] or (), given["primary"] or ())
     run = _open(given)
     questions.check(run.demos)

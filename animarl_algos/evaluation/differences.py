@@ -107,40 +107,84 @@ def simultaneous_differences(
     both = [sides.by_unit(side, present) for side in (recorded, mean)]
     gaps = both[1] - both[0]
     units = np.isfinite(gaps).sum(axis=0)
-    error = _mean_and_error(gaps, 0)[1]
     used = np.unique(sides.demo)
     if len(np.unique(sides.unit[used])) == len(used):
         null = _exchanged(recorded, simulated, total, count, sides, rng)
     else:
         null = _flipped(gaps, rng)
-    floor = FLOOR * _mean(np.square(null[1]), 0)
+    margin, scale = _margins(gaps, _mean_and_error(gaps, 0)[1], null, both, units, sides, rng)
+    between = _mean_and_error(both[0], 0)[1] * np.sqrt(np.maximum(units, 1))
+    return Differences(_mean(both[0], 0), _mean(both[1], 0), margin, scale, between, units)
+
+
+def group_differences(
+    first: Floats, second: Floats, sides: tuple[Sides, Sides], rng: np.random.Generator
+) -> Differences:
+    """Compare recordings of two conditions, ``(starts, measures)`` each: second minus first.
+
+    The null deals recordings to the conditions anew.
+    """
+    both = [
+        side.by_unit(values, np.isfinite(values)) for side, values in zip(sides, (first, second))
+    ]
+    every = np.concatenate(both)
+    known, filled = np.isfinite(every), np.nan_to_num(every)
+    labels = np.arange(len(every)) < len(both[0])
+    dealt = rng.permuted(np.broadcast_to(labels, (EXCHANGES, len(labels))), axis=1)
+
+    def of(groups: Bools) -> tuple[Floats, Floats]:
+        """Mean and variance of the mean of the rows of ``groups`` ``(deals, units)``."""
+        number = np.maximum(groups @ known.astype(np.float64), 1.0)
+        mean = groups @ filled / number
+        variance = np.maximum(groups @ np.square(filled) / number - np.square(mean), 0.0)
+        return mean, variance / np.maximum(number - 1.0, 1.0)
+
+    moved = [of(groups) for groups in (dealt, ~dealt)]
+    null = moved[1][0] - moved[0][0], np.sqrt(moved[0][1] + moved[1][1])
+    own = [of(groups[None]) for groups in (labels, ~labels)]
+    error = np.sqrt(own[0][1] + own[1][1])[0]
+    units = np.minimum(*(np.isfinite(side).sum(axis=0) for side in both))
+    residuals = np.concatenate([side - _mean(side, 0) for side in both])
+    margin, scale = _margins(residuals, error, null, both, units, sides[0], rng)
+    between = _mean_and_error(both[0], 0)[1] * np.sqrt(np.isfinite(both[0]).sum(axis=0))
+    return Differences(_mean(both[0], 0), _mean(both[1], 0), margin, scale, between, units)
+
+
+def _margins(
+    gaps: Floats,
+    error: Floats,
+    null: tuple[Floats, Floats],
+    both: list[Floats],
+    units: Ints,
+    sides: Sides,
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats]:
+    """Return the margin of every measure and the standard error that it is a multiple of."""
     pooled = np.concatenate(both)
-    spread = _mean_and_error(pooled, 0)[1]
-    nothing = np.nan_to_num(floor) <= np.square(ROUNDING * np.nan_to_num(spread))
-    floor = np.where(nothing, FLOOR * np.square(spread), floor)
-    scales = [np.sqrt(np.square(one) + np.nan_to_num(floor)) for one in (error, null[1])]
+    spread = np.nan_to_num(_mean_and_error(pooled, 0)[1])
+    floor = np.nan_to_num(FLOOR * _mean(np.square(null[1]), 0))
+    floor = np.where(floor <= np.square(ROUNDING * spread), FLOOR * np.square(spread), floor)
+    scales = [np.sqrt(np.square(one) + floor) for one in (error, null[1])]
     likely = (units * _mean(pooled, 0) + 1) / (units + 2)  # never 0 or 1
     with np.errstate(invalid="ignore", divide="ignore"):
         least = np.where(sides.binary, np.sqrt(likely * (1 - likely) / units), 0.0)
         scale, scale_null = (np.maximum(one, least) for one in scales)
-        size = np.nanmax(np.abs(np.concatenate([recorded, simulated])), axis=0, initial=0.0)
-        known_scale = (scale > ROUNDING * size) & (scale > 0) & (units >= MIN_RECORDINGS)
+        size = np.nanmax(np.abs(pooled), axis=0, initial=0.0)
+        known = (scale > ROUNDING * size) & (scale > 0) & (units >= MIN_RECORDINGS)
         studentised = np.nan_to_num(null[0] / scale_null)
         width = studentised.std(axis=0)
         width = np.where(width > ROUNDING, width, 1.0)
     largest = np.abs(studentised / width)
-    student = _largest_t(gaps, rng) if len(gaps) <= FEWEST_ALONE else np.zeros((1, measures))
-    margin = np.full(measures, np.nan)
+    few = len(gaps) <= FEWEST_ALONE
+    student = _largest_t(gaps, rng) if few else np.zeros((1, len(error)))
+    margin = np.full(len(error), np.nan)
     for chosen, level in ((~sides.primary, LEVEL), (sides.primary, PRIMARY_LEVEL)):
-        chosen = chosen & known_scale
+        chosen = chosen & known
         if chosen.any():
             multiple = np.quantile(largest[:, chosen].max(axis=1), 1 - level)
             of_t = np.quantile(student[:, chosen].max(axis=1), 1 - level)
             margin[chosen] = np.maximum(multiple * width, of_t)[chosen] * scale[chosen]
-    between = _mean_and_error(both[0], 0)[1] * np.sqrt(np.maximum(units, 1))
-    return Differences(
-        _mean(both[0], 0), _mean(both[1], 0), margin, np.asarray(scale), between, units
-    )
+    return margin, np.asarray(scale)
 
 
 def _exchanged(

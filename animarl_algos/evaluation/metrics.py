@@ -84,6 +84,8 @@ class Metric:
     noun
         Its values, where they may be too much alike or too varied: the verdict then compares their
         spread too, and the energy score is worked out.
+    own
+        Of a measure of the user's own: its values of any rollouts, by the scale of an arena unit.
     """
 
     key: str
@@ -105,6 +107,7 @@ class Metric:
     too_much: str = ""
     too_little: str = ""
     noun: str = ""
+    own: Callable[[Rollouts, float], Floats] | None = None
 
     @property
     def is_share(self) -> bool:
@@ -118,8 +121,8 @@ class Metric:
 
     @property
     def is_length(self) -> bool:
-        """Whether its unit is one of length, or of speed, in arena units."""
-        return self.unit.startswith(ARENA_UNITS)
+        """Whether its values are lengths or speeds in arena units."""
+        return self.own is None and self.unit.startswith(ARENA_UNITS)
 
     @property
     def has_distribution(self) -> bool:

@@ -29,6 +29,7 @@ from animarl_algos.evaluation.differences import (
     MIN_RECORDINGS,
     Differences,
     Sides,
+    group_differences,
     simultaneous_differences,
 )
 from animarl_algos.evaluation.metrics import (
@@ -45,7 +46,12 @@ from animarl_algos.evaluation.metrics import (
     judged_metrics,
     measures,
 )
-from animarl_algos.evaluation.prepared import Prepared, has_ended, restricted_mean_scores
+from animarl_algos.evaluation.prepared import (
+    Prepared,
+    comparison_smoothing,
+    has_ended,
+    restricted_mean_scores,
+)
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -199,12 +205,27 @@ class Questions:
                 )
         return cls(numbers, tuple(primary))
 
+    def keys(self, given: Iterable[str], metrics: Iterable[Metric]) -> tuple[str, ...]:
+        """Return the keys of the metrics that these names mean."""
+        names = row_names(metrics)
+        return tuple(sorted({names[resolve(name, names)] for name in given}))
+
+    def allowed(self, metrics: tuple[Metric, ...], found: Differences) -> Floats:
+        """Return the tolerance of each metric, ``(measures,)``."""
+        names = row_names(metrics)
+        wanted = {names[resolve(name, names)]: one for name, one in self.tolerances.items()}
+        return np.array(
+            [
+                _tolerance(metric, wanted.get(metric.key), mean, sd)
+                for metric, mean, sd in zip(metrics, found.recorded, found.between)
+            ]
+        )
+
     def check(self, recorded: Demonstrations) -> None:
         """Raise InputError if a name is that of no measure of such recordings."""
         if self.tolerances or self.primary:
-            names = row_names(judged_metrics(Prepared(recorded.select(episodes=np.arange(1)))))
-            for name in (*self.tolerances, *self.primary):
-                resolve(name, names)
+            metrics = judged_metrics(Prepared(recorded.select(episodes=np.arange(1))))
+            self.keys([*self.tolerances, *self.primary], metrics)
 
 
 AS_BUILT = Questions()
@@ -215,7 +236,7 @@ class Comparison:
     """All metrics of both sides, with their differences.
 
     ``counted`` are the rollouts that count, smoothed as the recordings; ``unit`` ``(starts,)`` is
-    the recording of each start.
+    the recording of each start. ``of_conditions``: they are recordings of another condition.
     """
 
     prepared: Prepared
@@ -225,6 +246,7 @@ class Comparison:
     found: Differences
     tolerances: Floats
     primary: tuple[str, ...]
+    of_conditions: bool = False
 
     @classmethod
     def of(
@@ -234,46 +256,33 @@ class Comparison:
         rng: np.random.Generator,
         questions: Questions,
     ) -> Comparison:
-        """Measure both sides and take their differences."""
-        sides = (prepared.recorded, counted)
-        unit = np.unique(prepared.demos.recording, return_inverse=True)[1].astype(np.int64)
-        starts, alone = len(unit), np.concatenate([np.ones(len(unit), bool), ~counted.copies])
-        measured = [measures(prepared, side) for side in sides]
-        metrics, columns = list[Metric](), list[Floats]()
-        ended = np.concatenate([has_ended(side) for side in sides])
-        can_end = prepared.demos.has_goal or bool(ended.any())
-        for metric in judged_metrics(prepared):
-            both = np.concatenate([side[metric.key] for side in measured])
-            if (metric.is_ending and not both.any()) or (metric is DURATION and not can_end):
-                continue
-            if metric is DURATION:
-                both = restricted_mean_scores(both, ended)
-            metrics.append(metric)
-            columns.append(both)
-            if metric.noun:
-                metrics.append(spread_of(metric))
-                columns.append(np.concatenate([_apart(both[:starts]), _apart(both[starts:])]))
-        values = np.stack(columns, axis=1)[alone]
-        by_time = np.array([metric.by_time for metric in metrics])
-        lasted = np.maximum(prepared.recorded.lengths - 1, 1)[:, None].astype(np.float64)
-        names = row_names(metrics)
-        first = {names[resolve(name, names)] for name in questions.primary}
-        chosen = Sides(
-            demo=np.asarray(counted.demo)[~counted.copies],
-            unit=unit,
-            weight=np.where(by_time, lasted, 1.0),
-            binary=np.array([metric.share and metric.is_ending for metric in metrics]),
-            primary=np.array([metric.key in first for metric in metrics]),
-        )
-        found = simultaneous_differences(values[:starts], values[starts:], chosen, rng)
-        wanted = {names[resolve(name, names)]: one for name, one in questions.tolerances.items()}
-        allowed = np.array(
-            [
-                _tolerance(metric, wanted.get(metric.key), mean, sd)
-                for metric, mean, sd in zip(metrics, found.recorded, found.between)
-            ]
-        )
-        return cls(prepared, counted, unit, tuple(metrics), found, allowed, tuple(sorted(first)))
+        """Measure recordings and rollouts, and take their differences start by start."""
+        metrics, first, second = _columns(prepared, counted)
+        primary = questions.keys(questions.primary, metrics)
+        sides = _sides(prepared.demos, metrics, primary, np.asarray(counted.demo)[~counted.copies])
+        found = simultaneous_differences(first, second[~counted.copies], sides, rng)
+        allowed = questions.allowed(metrics, found)
+        return cls(prepared, counted, sides.unit, metrics, found, allowed, primary)
+
+    @classmethod
+    def between(
+        cls,
+        first: Demonstrations,
+        second: Demonstrations,
+        rng: np.random.Generator,
+        questions: Questions,
+    ) -> Comparison:
+        """Measure recordings of two conditions, both as the first, and take their differences."""
+        prepared = Prepared(first, comparison_smoothing(first))
+        other = prepared.filtered(Rollouts.from_demonstrations(second))
+        metrics, *values = _columns(prepared, other)
+        primary = questions.keys(questions.primary, metrics)
+        sides = [
+            _sides(demos, metrics, primary, np.arange(len(demos))) for demos in (first, second)
+        ]
+        found = group_differences(values[0], values[1], (sides[0], sides[1]), rng)
+        allowed = questions.allowed(metrics, found)
+        return cls(prepared, other, sides[0].unit, metrics, found, allowed, primary, True)
 
     def rows(self, blind: Rollouts | None = None) -> Iterator[Row]:
         """Yield a row for each metric of its own, then one for each kind of the others."""
@@ -308,7 +317,10 @@ class Comparison:
         if judgement in (DIFFERS, LITTLE):
             one, other = figures(unit, simulated, recorded)
             shown = "%" if unit == "share" else unit
-            words = f"{metric.complaint(value > 0)}: {one} for {other} {shown}".rstrip()
+            said = metric.complaint(value > 0)
+            if self.of_conditions:
+                said = f"{lower_first(metric.label)} {'higher' if value > 0 else 'lower'}"
+            words = f"{said}: {one} for {other} {shown}".rstrip()
             words = words if judgement == DIFFERS else f"{LITTLE}: {words}"
         elif judgement == UNKNOWN:
             words = unknown_words(needed, reason)
@@ -334,11 +346,46 @@ class Comparison:
             verdict=words,
             needed=needed,
             detectable=max(margin, tolerance) + error,
-            covers=seeds or "this network only",
+            covers="" if self.of_conditions else seeds or "this network only",
             reason=reason,
             primary=metric.key in self.primary,
             **more,
         )
+
+
+def _columns(prepared: Prepared, other: Rollouts) -> tuple[tuple[Metric, ...], Floats, Floats]:
+    """Return metrics and spreads of both sides, each ``(episodes, measures)``."""
+    starts = len(prepared.recorded)
+    measured = [measures(prepared, side) for side in (prepared.recorded, other)]
+    metrics, columns = list[Metric](), list[Floats]()
+    ended = np.concatenate([has_ended(side) for side in (prepared.recorded, other)])
+    can_end = prepared.demos.has_goal or bool(ended.any())
+    for metric in judged_metrics(prepared):
+        both = np.concatenate([side[metric.key] for side in measured])
+        if (metric.is_ending and not both.any()) or (metric is DURATION and not can_end):
+            continue
+        if metric is DURATION:
+            both = restricted_mean_scores(both, ended)
+        metrics.append(metric)
+        columns.append(both)
+        if metric.noun:
+            metrics.append(spread_of(metric))
+            columns.append(np.concatenate([_apart(both[:starts]), _apart(both[starts:])]))
+    values = np.stack(columns, axis=1)
+    return tuple(metrics), values[:starts], values[starts:]
+
+
+def _sides(
+    demos: Demonstrations, metrics: tuple[Metric, ...], primary: tuple[str, ...], demo: Ints
+) -> Sides:
+    lasted = np.maximum(demos.lengths - 1, 1)[:, None].astype(np.float64)
+    return Sides(
+        demo=demo,
+        unit=np.unique(demos.recording, return_inverse=True)[1].astype(np.int64),
+        weight=np.where([metric.by_time for metric in metrics], lasted, 1.0),
+        binary=np.array([metric.share and metric.is_ending for metric in metrics]),
+        primary=np.array([metric.key in primary for metric in metrics]),
+    )
 
 
 def _apart(values: Floats) -> Floats:

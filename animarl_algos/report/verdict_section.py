@@ -11,10 +11,11 @@ from rich.text import Text
 
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
+from animarl_algos.evaluation.conditions import ComparedConditions
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.prepared import WINDOW
 from animarl_algos.evaluation.realism import REFERENCES
-from animarl_algos.evaluation.statistics import interval
+from animarl_algos.evaluation.statistics import Interval, interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import (
     ALIKE,
@@ -163,38 +164,64 @@ def _in_tolerances(row: Row) -> tuple[float, float, float]:
 
 def verdict_as_table(verdict: Verdict, words: Words) -> Table:
     """Return one row per question, those that are alike faint."""
+    controls = [key for key in CONTROLS if key in verdict.table]
+    return _rows_as_table(
+        verdict.rows(),
+        (words.adapt("Recorded"), "Simulated"),
+        words.adapt(_caption(verdict)),
+        words.adapt,
+        controls,
+    )
+
+
+def conditions_as_table(found: ComparedConditions) -> Table:
+    """Return one row per question, of recordings of two conditions."""
+    caption = (
+        f"{found.names[1]} minus {found.names[0]}: means over recordings, and their difference "
+        "with an interval; all intervals together hold the truth in 97 % of experiments."
+    )
+    return _rows_as_table(found.rows, found.names, caption)
+
+
+def _rows_as_table(
+    rows: Sequence[Row],
+    sides: tuple[str, str],
+    caption: str,
+    say: Callable[[str], str] = str,
+    controls: Sequence[str] = (),
+) -> Table:
     areas = (AUC, SEQUENCE)
 
-    def scaled(key: str) -> Callable[[Any], str]:
-        return lambda row: number((100.0 if row["unit"] == SHARE else 1.0) * row[key])
+    def scaled(key: str) -> Callable[[Row], str]:
+        return lambda row: number((100.0 if row.unit == SHARE else 1.0) * getattr(row, key))
 
-    def question(row: Any) -> str:
-        unit = "%" if row["unit"] == SHARE else row["unit"]
-        return f"{row['label']} ({unit})" if unit else str(row["label"])
+    def question(row: Row) -> str:
+        unit = "%" if row.unit == SHARE else row.unit
+        return f"{row.label} ({unit})" if unit else row.label
 
-    def difference(row: Any) -> str:
-        return with_interval(interval(row), row["unit"] == SHARE)
+    def difference(row: Row) -> str:
+        return with_interval(Interval(row.value, row.low, row.high), row.unit == SHARE)
 
-    def tolerance(row: Any) -> str:
-        if row["measure"] in areas:
+    def tolerance(row: Row) -> str:
+        if row.measure in areas:
             return f"{LITTLE_AUC:.2f}"
-        return f"\u00b1{scaled('tolerance')(row)}" if row["tolerance"] > 0 else NOTHING
+        return f"\u00b1{scaled('tolerance')(row)}" if row.tolerance > 0 else NOTHING
 
     return tabulate(
         "Verdict",
         {
             "Question": question,
-            "Verdict": lambda row: words.adapt(str(row["verdict"])),
-            words.adapt("Recorded"): scaled("recorded"),
-            "Simulated": scaled("simulated"),
+            "Verdict": lambda row: say(row.verdict),
+            sides[0]: scaled("recorded"),
+            sides[1]: scaled("simulated"),
             "Difference\n[95 %]": difference,
             "Tolerance": tolerance,
-            **{key.title(): scaled(key) for key in CONTROLS if key in verdict.table},
+            **{key.title(): scaled(key) for key in controls},
         },
-        [("", verdict.table)],
-        words.adapt(_caption(verdict)),
+        [("", rows)],
+        caption,
         left=2,
-        faint=lambda row: row["judgement"] == ALIKE,
+        faint=lambda row: row.judgement == ALIKE,
     )
 
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.metrics import METRICS, Metric
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import censored, path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -524,6 +526,11 @@ def _speeds(rollouts: Rollouts) -> dict[str, float]:
     return dict(zip(rollouts.individuals, speeds.tolist(), strict=True))
 
 
+def _own(metric: Metric, rollouts: Rollouts, *, scale: float) -> Floats:
+    assert metric.own is not None
+    return metric.own(rollouts, scale)
+
+
 def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
     """Yield the quantities of an answer: outcome, duration, paths, distance, speeds."""
     scale, name = unit.per_arena_unit, unit.name
@@ -550,6 +557,9 @@ def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
         apart = np.linalg.norm(nearest_other(rollouts.positions), axis=-1).mean(axis=1)
         return mean_of(apart, rollouts)
 
+    own = [metric for metric in METRICS if metric.own is not None]
+    for metric in own:
+        yield Quantity(metric.label.lower(), metric.unit, partial(_own, metric, scale=scale))
     if is_free(of.roles):  # nothing is reached, and only the film ends
         yield Quantity("speed", f"{name}/s", lambda made: speeds(made).mean(axis=1))
         if len(of.individuals) > 1:
