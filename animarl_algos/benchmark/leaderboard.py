@@ -67,7 +67,7 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
 
 
 def _section(plan: Plan, name: str, scores: Sequence[Score], ranks: Mapping[str, str]) -> str:
-    """What the simulators of one set are judged by, their differences, their closeness."""
+    """Return the tables of one set: main measures, differences, closeness."""
     folds = plan.matrix.folds.get(name)
     synthetic = next(w.demos.synthetic for w in plan.worlds if w.data == name)
     kind = "synthetic demonstrations, recorded from no animal" if synthetic else "recordings"

@@ -139,7 +139,7 @@ class Matrix(Checked):
         return dealt
 
     def _fewer(self, demos: Demonstrations) -> Demonstrations:
-        """The same episodes whenever it is asked."""
+        """Return at most as many episodes of each split as are asked for, always the same ones."""
         if not self.episodes:
             return demos
         rng = np.random.default_rng(0)
@@ -215,6 +215,7 @@ class Plan:
 
     @property
     def stages(self) -> tuple[tuple[Piece, ...], ...]:
+        """Worlds, cells and scores."""
         return self.worlds, self.cells, self.scorings
 
     def only(self, patterns: Sequence[str]) -> Plan:

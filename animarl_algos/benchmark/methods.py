@@ -61,7 +61,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MethodSetting:
-    """What the factory of a method is handed: everything to train on, and no test episode.
+    """Input of a method's factory: everything to train on, and no test episode.
 
     ``demos`` are those of the splits train and val, ``species`` the world's numbers with the fitted
     locomotion, ``seed`` that of the training, ``copies`` and ``options`` of :meth:`environment`.
@@ -75,7 +75,7 @@ class MethodSetting:
 
     @classmethod
     def of(cls, world: Run, seed: int) -> MethodSetting:
-        """That of a fitted world."""
+        """Return the setting of a fitted world."""
         demos = world.learnable_demos
         return cls(
             demos=demos,
@@ -86,7 +86,7 @@ class MethodSetting:
         )
 
     def environment(self) -> SlotVecEnv:
-        """A vectorised environment to train in, one slot per copy and individual.
+        """Return a vectorised environment to train in, one slot per copy and individual.
 
         Its observations are those that the method is asked about afterwards: where recordings of
         both conditions are there, the last component is the condition.
@@ -99,7 +99,7 @@ class MethodSetting:
 
 
 class CheckedPolicy:
-    """A method that is asked for actions, every answer checked.
+    """A method of others, each of whose answers is checked.
 
     The ``policy`` has ``predict`` as SB3 has it, or is a callable from observations ``(slots, n)``
     to actions ``(slots,)`` below ``num_actions``; slot = copy * individuals + individual.
@@ -156,9 +156,9 @@ def errors_as_input_errors(what: str, fix: str = "fix it") -> Iterator[None]:
 
 
 def parameters_of(policy: Any) -> int | None:
-    """Parameters of a policy of PyTorch, or of a model of SB3 around one; None of anything else.
+    """Return the number of parameters of a PyTorch policy or an SB3 model; None for others.
 
-    Those of a target network, where the policy has one, are among them.
+    A target network of the policy counts too.
     """
     network = getattr(policy, "policy", policy)
     if not isinstance(network, torch.nn.Module):
@@ -167,7 +167,7 @@ def parameters_of(policy: Any) -> int | None:
 
 
 def parse_method(given: str) -> tuple[str, str]:
-    """``NAME=module:factory`` as name and ``module:factory``, which is looked up now."""
+    """Split ``NAME=module:factory`` into name and ``module:factory``, and import it."""
     name, equals, place = given.partition("=")
     if not equals or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(
@@ -178,7 +178,7 @@ def parse_method(given: str) -> tuple[str, str]:
 
 
 def load_factory(place: str) -> Callable[[MethodSetting], Any]:
-    """What ``module:factory`` names; modules in the working directory are found too."""
+    """Import ``module:factory``; modules in the working directory are found too."""
     module, colon, name = place.partition(":")
     if not (module and colon and name):
         raise InputError(f"method {place!r}: write module:factory")
@@ -193,7 +193,7 @@ def load_factory(place: str) -> Callable[[MethodSetting], Any]:
 
 
 def source_of(place: str) -> str:
-    """The factory with a hash of its module's file, so that another source is another method."""
+    """Return the factory with a hash of its module's file: another source is another method."""
     spec = importlib.util.find_spec(place.partition(":")[0])
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return place
@@ -305,6 +305,7 @@ class Steering(collect.MemorylessPolicy):
         self._columns = [names.index(name) for name in found[0]]
 
     def act(self, observation: NDArray[np.floating]) -> Ints:
+        """Return one action per slot."""
         velocities = observation[:, self._columns].astype(np.float64)
         actions = np.empty(len(velocities), dtype=np.int64)
         number = self._species.num_individuals
@@ -324,6 +325,7 @@ class ProgrammedPolicy:
         self._species, self._rng = species, np.random.default_rng(seed)
 
     def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Ints, Any]:
+        """Return one action per slot, and the programmed moths as state."""
         if state is None:
             state = ProgrammedMoth(len(observation), self._rng, self._species)
             state.reset()
@@ -361,7 +363,7 @@ class NearestSegment:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, **_: Any
     ) -> tuple[Ints, tuple[Ints, Ints]]:
-        """One action per slot; the state is the frame that each is at and the steps left of it."""
+        """Return one action per slot; the state is the frame of each and the steps left of it."""
         slots = len(observation)
         who = np.arange(slots) % self._individuals
         frame, left = np.array([[-1], [1]]).repeat(slots, axis=1) if state is None else state

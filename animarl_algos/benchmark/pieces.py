@@ -96,16 +96,20 @@ class FittedWorld(Piece):
 
     @property
     def name(self) -> str:
+        """Name in errors and tables."""
         return _world_name(self.data, self.fold)
 
     @cached_property
     def key(self) -> str:
+        """A hash of settings and demonstrations."""
         return _hash_of(_resolve(self.settings) | {"demonstrations": self.demos.fingerprint()})
 
     def ready(self, out: Path) -> bool:
+        """Return True: a world needs nothing."""
         return True
 
     def perform(self, out: Path) -> None:
+        """Fit the locomotion."""
         pipeline.fit(pipeline.open_run(self.settings, self.folder(out), COMMAND, self.demos))
 
 
@@ -129,17 +133,20 @@ class Cell(Piece):
 
     @property
     def name(self) -> str:
+        """Name in errors and tables."""
         fold = "" if self.fold is None else f"/fold{self.fold}"
         return f"{self.data}/{self.method}/{self.seed}{fold}"
 
     @property
     def kind(self) -> str:
+        """``recipe``, ``reference`` or ``method``."""
         if self.settings is not None:
             return "recipe"
         return "reference" if self.factory is None else "method"
 
     @cached_property
     def key(self) -> str:
+        """A hash of settings, world and source of the method."""
         own: dict[str, Any] = {
             "method": self.method,
             "seed": self.seed,
@@ -150,6 +157,7 @@ class Cell(Piece):
         return _hash_of(own | (_resolve(self.settings) if self.settings else {}))
 
     def ready(self, out: Path) -> bool:
+        """Return whether the world is fitted."""
         return (self.world_run(out).path / FittedWorld.RESULT).exists()
 
     def world_run(self, out: Path) -> Run:
@@ -158,6 +166,7 @@ class Cell(Piece):
         return Run(out / FittedWorld.STAGE / f"{name}-{self.world}")
 
     def perform(self, out: Path) -> None:
+        """Train if the method learns, and save its rollouts."""
         began = time.process_time()
         rollouts, parameters = self._roll_out(out)
         rollouts.save(self.folder(out) / "rollouts.npz")
@@ -214,20 +223,25 @@ class Scoring(Piece):
 
     @property
     def data(self) -> str:
+        """Name of the demonstrations."""
         return self.cells[0].data
 
     @property
     def name(self) -> str:
+        """Name in errors and tables."""
         return f"{self.data}/{self.cells[0].method}/score"
 
     @cached_property
     def key(self) -> str:
+        """A hash of the cells."""
         return _hash_of({"cells": [cell.key for cell in self.cells], "resamples": self.resamples})
 
     def ready(self, out: Path) -> bool:
+        """Return whether all cells are finished."""
         return all(cell.finished(out) for cell in self.cells)
 
     def perform(self, out: Path) -> None:
+        """Measure the rollouts of all cells together."""
         first = self.cells[0]
         made = [(cell.world_run(out).demos, cell.rollouts(out)) for cell in self.cells]
         joined = Rollouts.concatenate([rollouts for _, rollouts in made], first.method)

@@ -241,7 +241,7 @@ def score_submission(path: str | Path, species: str, *, resamples: int = RESAMPL
 
 
 def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]:
-    """The rollouts of a file, and the packaged demonstrations, all splits, that they are of.
+    """Read the rollouts of a file, and the packaged demonstrations (all splits) of its species.
 
     Only rollouts in the recorded condition, told no other one, count.
     """

@@ -52,6 +52,8 @@ class Text:
 
 @dataclass(frozen=True)
 class Gallery:
+    """Pictures side by side with a caption."""
+
     kind: ClassVar[str] = "gallery"
     images: Sequence[Image]
     caption: str
@@ -59,6 +61,8 @@ class Gallery:
 
 
 class Row(NamedTuple):
+    """A row of a table."""
+
     cells: Sequence[str]
     strong: bool = False
     faint: bool = False
@@ -66,12 +70,16 @@ class Row(NamedTuple):
 
 
 class Group(NamedTuple):
+    """Rows of a table under a heading."""
+
     title: str
     rows: Sequence[Row]
 
 
 @dataclass(frozen=True)
 class Table:
+    """A table that a reader can sort and save."""
+
     kind: ClassVar[str] = "table"
     label: str
     columns: Sequence[str]
@@ -83,6 +91,8 @@ class Table:
 
 @dataclass(frozen=True)
 class Pairs:
+    """Names with their values."""
+
     kind: ClassVar[str] = "pairs"
     title: str
     entries: Sequence[tuple[str, str]]
@@ -123,6 +133,8 @@ def tabulate(
 
 @dataclass(frozen=True)
 class Section:
+    """A section of a page."""
+
     anchor: str
     title: str
     blocks: Sequence[Block]

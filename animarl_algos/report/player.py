@@ -90,7 +90,7 @@ def view(
 
 
 def _world(stage: Stage) -> dict[str, Any]:
-    """What is drawn besides the paths, as plain data."""
+    """Return what is drawn besides the paths, as plain data."""
     arena, names = stage.arena, {colour.hex: colour.name for colour in style.COLOURS}
     return {
         "arena": {"shape": arena.shape, "size": arena.size, "walls": arena.rebound},
@@ -107,7 +107,7 @@ def _world(stage: Stage) -> dict[str, Any]:
 def _packed(
     title: str, tracks: dict[str, tuple[Rollouts, int]], stage: Stage, stride: int
 ) -> dict[str, Any]:
-    """A scene as plain data; paths as 16-bit numbers across the box that holds them, in base64."""
+    """Return a scene as plain data; paths are 16-bit numbers across their box, in base64."""
     paths = {kind: made.path(i) for kind, (made, i) in tracks.items()}
     points = np.concatenate([path.reshape(-1, 2) for path in paths.values()])
     low = points.min(axis=0)

@@ -163,7 +163,7 @@ def figure_style() -> AbstractContextManager[None]:
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
-    """A figure of so many inches with its axes (one, or an array of them)."""
+    """Yield a figure of so many inches with its axes (one, or an array of them)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
@@ -180,7 +180,7 @@ class Image:
 
 
 def to_image(figure: Figure, alt: str) -> Image:
-    """The figure as SVG; the same figure gives the same bytes."""
+    """Return the figure as SVG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with figure_style():
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})

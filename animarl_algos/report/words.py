@@ -28,8 +28,11 @@ WITHOUT_GOAL = {"pursuers (or the moth's)": "animals", ": all episodes, and capt
 
 @dataclass(frozen=True)
 class Words:
-    """Vocabulary of a report: whether demonstrations are synthetic, the unit of lengths, and
-    whether there is anything to reach."""
+    """Vocabulary of a report.
+
+    It depends on whether demonstrations are synthetic, the unit of lengths, and whether there is a
+    target or a source to reach.
+    """
 
     synthetic: bool = False
     unit: Unit = RECORDED_SCALE
@@ -37,6 +40,7 @@ class Words:
 
     @classmethod
     def of(cls, demos: Demonstrations) -> Words:
+        """Return the vocabulary of some demonstrations."""
         return cls(demos.synthetic, unit_of(demos), demos.has_goal)
 
     def adapt(self, text: str) -> str:
@@ -79,6 +83,7 @@ class Words:
 
     @property
     def speed(self) -> str:
+        """Unit of speeds."""
         return f"{self.unit.name}/s"
 
 

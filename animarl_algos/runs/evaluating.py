@@ -60,9 +60,7 @@ def roll_out(run: Run) -> dict[str, Rollouts]:
 
 
 def acted_by(run: Run) -> str:
-    """Return the rule by which the run's learner acted in its rollouts, which may be of another one
-    than its own.
-    """
+    """Return the acting rule of the run's rollouts, which may differ from its own rule."""
     return str(json.loads((run.path / "rollouts" / ACTED).read_text())["acting"])
 
 
@@ -325,7 +323,7 @@ def evaluate_runs(
     demos: Demonstrations | None = None,
     questions: Questions = AS_BUILT,
 ) -> EvaluatedRuns:
-    """What :func:`compare_runs` finds, written to ``out``: all of it or nothing.
+    """Write the results of :func:`compare_runs` to ``out``: all of them or nothing.
 
     ``out`` gets every table of the evaluation as CSV and Parquet, ``figures/`` as SVG, PNG and PDF,
     and ``report.html``. The same runs give the same bytes.

@@ -68,7 +68,7 @@ def load_run(folder: str | Path) -> Run:
 
 
 def load_pretrained(model: str | Path) -> SequenceQLearning:
-    """A packaged model (``"fly"``), an exported one or a run's, in its world, acting by its rule.
+    """Load a packaged model (``"fly"``), an exported one or a run's, with its world and rule.
 
     ``predict`` is stable-baselines3's; ``model.get_env()`` is the fitted world with its
     demonstrations, one slot per individual and copy.
@@ -140,7 +140,7 @@ def export_run(
 
 
 def _metrics(verdict: Verdict) -> dict[str, Any]:
-    """What the verdict found, as plain numbers; None where something is not defined."""
+    """Return the findings of the verdict as plain numbers; None where something is not defined."""
     rows = json.loads(verdict.table.to_json(orient="records", double_precision=6))
     keys = (
         "measure",

@@ -130,7 +130,9 @@ class Run:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """``settings``, ``learner`` and the ``baseline`` it is compared with, ``environment``,
+        """What settings.json holds of the run.
+
+        ``settings``, ``learner`` and the ``baseline`` it is compared with, ``environment``,
         ``fingerprint``, ``versions``, ``machine``, ``command`` and ``reasons``.
         """
         file = self.path / "settings.json"
@@ -359,6 +361,7 @@ class Run:
         return self.learner(self.settings.algo, self.environment())
 
     def has_policy(self, name: str) -> bool:
+        """Return whether a learner is trained."""
         return run_files.weights_file(self.path / "policies", name).exists()
 
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
@@ -367,6 +370,7 @@ class Run:
             part.write_bytes(serialise_tensors(model.policy.q_net.state_dict()))
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
+        """Load the weights of a trained learner."""
         file = run_files.weights_file(self.path / "policies", name)
         try:
             weights = run_files.read_weights(file)

@@ -24,6 +24,7 @@ PACKAGES = (
 
 
 def write_json(file: Path, content: Any) -> None:
+    """Write a file whole or not at all."""
     with write_then_rename(file) as part:
         part.write_text(json.dumps(content, indent=2) + "\n")
 

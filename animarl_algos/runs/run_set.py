@@ -73,11 +73,13 @@ class RunSet:
 
     @property
     def runs(self) -> Iterator[Run]:
+        """All runs."""
         for some in self.methods.values():
             yield from some
 
     @cached_property
     def first(self) -> Run:
+        """The first run, whose world and recordings are those of all."""
         return next(self.runs)
 
     @property

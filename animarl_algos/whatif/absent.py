@@ -153,15 +153,15 @@ class FewerWorld(ChaseWorld):
         if self._disturbed:
             raise InputError("somebody is removed, but senses are noisy or late: leave one out")
         everybody, self._farthest = present.everybody, farthest
-        self._own, K = list(present.own), everybody.num_individuals
-        self._absent = [i for i in range(K) if i not in self._own]
-        there = np.isin(np.arange(K), self._own)
+        self._own, number = list(present.own), everybody.num_individuals
+        self._absent = [i for i in range(number) if i not in self._own]
+        there = np.isin(np.arange(number), self._own)
         self._all_senses = senses.senses_of(everybody, there)
         self._all_neighbours = neighbours_of(everybody, num_copies)
         self._all_bodies = bodies_of(everybody, num_copies)
         self._branches = senses.branches_of(everybody)
         self._shown = np.zeros(
-            (K, len(observation_components(everybody)), num_copies), dtype=np.float32
+            (number, len(observation_components(everybody)), num_copies), dtype=np.float32
         )
 
     def _start(self, mask: NDArray[np.bool_]) -> None:
@@ -235,9 +235,11 @@ class SubsetPolicy(WrappedPolicy):
         return np.asarray(actions).reshape(-1, len(self.source))[:, self.own].ravel(), state
 
     def remember(self, state: Any, executed: NDArray[np.integer]) -> Any:
+        """Return the state with the executed actions."""
         inner = getattr(self.policy, "remember", None)
         return state if inner is None else inner(state, self._for_all(executed))
 
     def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
+        """Return the state without the slots of ended episodes."""
         inner = getattr(self.policy, "leave_out", None)
         return state if inner is None else inner(state, self._for_all(over))

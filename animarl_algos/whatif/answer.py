@@ -49,20 +49,26 @@ class TrainedRun(Protocol):
     """A finished run, :class:`animarl_algos.runs.run.Run`."""
 
     @property
-    def scenario(self) -> Scenario: ...
+    def scenario(self) -> Scenario:
+        """Its world, with starts."""
 
     @property
-    def demos(self) -> Demonstrations: ...
+    def demos(self) -> Demonstrations:
+        """Recordings of all splits."""
 
     @property
-    def policy(self) -> Any: ...
+    def policy(self) -> Any:
+        """The trained learner."""
 
     @property
-    def has_condition_flag(self) -> bool: ...
+    def has_condition_flag(self) -> bool:
+        """Whether the policy has a condition flag among its inputs."""
 
-    def starting_from(self, split: str | None, *more: Any, **options: Any) -> Scenario: ...
+    def starting_from(self, split: str | None, *more: Any, **options: Any) -> Scenario:
+        """Return its world with other starts."""
 
-    def roll_out(self, *given: Any, **options: Any) -> Rollouts: ...
+    def roll_out(self, *given: Any, **options: Any) -> Rollouts:
+        """Return rollouts of a policy."""
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,7 @@ class ChangedWorld:
 
     @property
     def name(self) -> str:
+        """The changes as the user wrote them."""
         return ", ".join(change.text for change in self.changes)
 
     @property
@@ -96,6 +97,7 @@ class ChangedWorld:
 
     @property
     def moves_bodies(self) -> bool:
+        """Whether a body is changed."""
         return any(change.what in BODY for change in self.changes)
 
     @property
