@@ -12,6 +12,7 @@ import glob
 import io
 import math
 import os
+import secrets
 import shutil
 import stat
 import sys
@@ -57,13 +58,15 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
 
     An error or Ctrl-C inside the block removes the temporary file and leaves ``path`` as it was.
     After a kill it stays until the same path is written again. The temporary name ends like
-    ``path``, for libraries that look at the suffix. Raises InputError if the file cannot be
-    written: a full disk, a folder that is not writable.
+    ``path``, for libraries that look at the suffix. Links are followed. Raises InputError if the
+    file cannot be written: a full disk, a folder that is not writable, a pipe or a device.
     """
     path = Path(path)
-    require(not path.is_dir(), f"{path}: it is a folder: name a file")
-    with _temporary(path, path.stem, path.suffix, tempfile.mkstemp) as part:
-        part.chmod(0o644)
+    if path.is_symlink():
+        path = Path(os.path.realpath(path))
+    if path.exists():
+        refuse_special(path, "name another file to write")
+    with _temporary(path, path.stem, path.suffix, _make_file) as part:
         yield part
         part.replace(path)
 
@@ -84,6 +87,12 @@ def all_files_or_none(folder: str | Path) -> Iterator[Path]:
             place = folder / file.relative_to(part)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
+
+
+def _make_file(dir: Path, prefix: str, suffix: str) -> tuple[int, str]:
+    """Make an empty file with the permissions of any new one, as :func:`tempfile.mkstemp`."""
+    path = dir / f"{prefix}{secrets.token_hex(RANDOM // 2)}{suffix}"
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), str(path)
 
 
 @contextmanager
@@ -146,7 +155,7 @@ def unreadable_or_unwritable(error: OSError) -> str:
     )
 
 
-def refuse_special(path: Path) -> None:
+def refuse_special(path: Path, instead: str = "copy its content into a file") -> None:
     """Refuse what is no regular file, before opening it waits for ever: pipes, devices, links."""
     try:
         mode = path.stat().st_mode
@@ -157,8 +166,7 @@ def refuse_special(path: Path) -> None:
         what = "its links lead in a circle" if circle else f"it cannot be opened ({error})"
         raise InputError(f"{path}: {what}: name the file itself") from None
     require(not stat.S_ISDIR(mode), f"{path}: it is a folder: name a file in it")
-    regular = f"{path}: it is a pipe or a device: copy its content into a file"
-    require(stat.S_ISREG(mode), regular)
+    require(stat.S_ISREG(mode), f"{path}: it is a pipe or a device: {instead}")
 
 
 def refuse_unfinished(path: Path) -> None:

@@ -74,6 +74,7 @@ def call(
     """
     if resource is None:
         return function(*arguments, **({} if progress is None else {"progress": progress}))
+    seconds = _allowed(resource.RLIMIT_CPU, seconds)
     request = (str(Path.cwd()), memory, seconds, function, arguments, progress is not None)
     with _lock:
         worker = _running_worker()
@@ -127,6 +128,7 @@ def _search(pattern: str, names: list[str]) -> list[Groups | None]:
 
 class _Worker:
     def __init__(self) -> None:
+        _open_standard_descriptors()
         self.owner, self.spent = os.getpid(), False
         self.answer = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
         number = self.answer.fileno()
@@ -174,6 +176,19 @@ class _Worker:
             os.killpg(self.process.pid, signal.SIGKILL)
             self.process.communicate()
         self.answer.close()
+
+
+def _open_standard_descriptors() -> None:
+    """Open the null device as standard input, output or error where the caller has closed them.
+
+    Else files and pipes of the worker would get these numbers, and be overwritten by what anybody
+    prints.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
 
 
 _lock = threading.Lock()
@@ -254,13 +269,19 @@ def _answer(request: Any, told: int) -> dict[str, NDArray[Any]]:
 
 def _limit(memory: int, seconds: int) -> None:
     def limit(what: int, most: int) -> None:
-        resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
+        resource.setrlimit(what, (_allowed(what, most), resource.getrlimit(what)[1]))
 
     limit(resource.RLIMIT_CORE, 0)
     used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
     limit(resource.RLIMIT_CPU, int(used) + 1 + seconds)
     if size := _memory_used(0):
         limit(resource.RLIMIT_AS, size + memory)
+
+
+def _allowed(what: int, most: int) -> int:
+    """Return ``most``, or less where the hard limit is lower (the soft one has to warn first)."""
+    hard = resource.getrlimit(what)[1]
+    return most if hard == resource.RLIM_INFINITY else min(most, max(hard - 1, 0))
 
 
 def _memory_used(which: int) -> int:

@@ -21,9 +21,10 @@ from typing import Any, ClassVar, NoReturn, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs import wall
 from animarl_envs.checks import plain
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.files import read_npz, write_then_rename
+from animarl_envs.files import allowed_bytes, read_npz, refuse_special, write_then_rename
 from animarl_envs.focus import is_free
 
 SPLITS = ("train", "val", "test")
@@ -113,7 +114,10 @@ class Episodes(ABC):
 
     def __post_init__(self) -> None:
         for key, dtype in {"positions": np.float64, **self.EACH}.items():
-            object.__setattr__(self, key, read_only(getattr(self, key), dtype))
+            try:
+                object.__setattr__(self, key, read_only(getattr(self, key), dtype))
+            except InputError as error:
+                self._refuse(f"{key}: {error}")
         for key in self.TUPLES:
             object.__setattr__(self, key, tuple(getattr(self, key)))
         num, count = self.num_individuals, len(self.lengths)
@@ -129,6 +133,11 @@ class Episodes(ABC):
             self._refuse(
                 f"episode {i} has {length} frame{'s' * (length != 1)}: leave it out, an episode "
                 f"needs at least {self.FEWEST_FRAMES}"
+            )
+        for i in np.flatnonzero(self.lengths > len(self.positions))[:1].tolist():
+            self._refuse(
+                f"episode {i} has {self.lengths[i]} frames but there are {len(self.positions)} "
+                "positions: cut the episodes again"
             )
         if self.lengths.sum() != len(self.positions):
             self._refuse(
@@ -242,10 +251,21 @@ class Episodes(ABC):
     def load(cls, path: str | Path) -> Self:
         """Read a file written by :meth:`save`.
 
-        Raises InputError if the file is missing, truncated, of another format, or holds a pickle.
+        It is decompressed in a process of its own (:mod:`animarl_envs.wall`). Raises InputError if
+        the file is missing, truncated, of another format, or holds a pickle.
         """
         path = Path(path)
-        arrays = read_npz(path)
+        refuse_special(path)
+        memory = wall.MEMORY + 2 * allowed_bytes(path.stat().st_size)
+        return cls._from_arrays(path, wall.call(read_npz, path, what=str(path), memory=memory))
+
+    @classmethod
+    def load_trusted(cls, path: Path) -> Self:
+        """Read a file of this package as :meth:`load` does, in this process."""
+        return cls._from_arrays(path, read_npz(path))
+
+    @classmethod
+    def _from_arrays(cls, path: Path, arrays: dict[str, Any]) -> Self:
         with refusing_damage(path, cls.MADE_BY):
             meta = json.loads(str(arrays.pop("meta", "{}")))
             if meta.pop("format", None) != cls.FORMAT:
@@ -253,7 +273,12 @@ class Episodes(ABC):
                 raise InputError(f"{path}: it holds no {what} of this project: {cls.MADE_BY}")
             if meta.pop("version") > FORMAT_VERSION:
                 raise InputError(f"{path}: it was written by a newer animarl: upgrade this one")
-            return cls(**cls.from_stored(path, meta, arrays))
+            stored = cls.from_stored(path, meta, arrays)
+            try:
+                return cls(**stored)
+            except InputError as error:
+                place = "" if str(path) in str(error) else f"{path}: "
+                raise InputError(f"{place}{error}") from None
 
     @classmethod
     def from_stored(
@@ -264,12 +289,33 @@ class Episodes(ABC):
 
 
 def read_only(value: Any, dtype: Any) -> NDArray[Any]:
-    """Return a copy of ``value`` as a read-only array of plain numbers or strings."""
-    array = np.array(value, dtype=dtype)
+    """Return a copy of ``value`` as a read-only array of plain numbers or strings.
+
+    Raises InputError if an entry is not a number of this kind, such as 17.7 or 257 for int8.
+    """
+    array = np.array(value, dtype=dtype if dtype is np.str_ else None)
+    if dtype not in (None, np.str_):
+        array = _as_numbers(array, dtype)
     if array.dtype == object:
         raise InputError("an array holds Python objects: give plain numbers or strings")
     array.setflags(write=False)
     return array
+
+
+def _as_numbers(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Return numbers as ``dtype``.
+
+    Raises InputError if they are none, or an integer ``dtype`` cannot hold one of them.
+    """
+    if array.size and array.dtype.kind not in "biuf":
+        raise InputError(f"it is of kind {array.dtype}: give numbers")
+    with np.errstate(invalid="ignore"):
+        cast = array.astype(dtype)
+    if np.issubdtype(dtype, np.integer):
+        for value in array[cast != array][:1].tolist():
+            limits = np.iinfo(dtype)
+            raise InputError(f"{value} is no whole number from {limits.min} to {limits.max}")
+    return cast
 
 
 @contextmanager

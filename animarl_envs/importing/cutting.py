@@ -261,6 +261,11 @@ def _cut_at_events(
             np.isfinite(bodies[start:stop]).all(),
             f"{path}: line {number} spans a gap in {recording}: allow longer gaps to be filled",
         )
+        require(
+            condition in (None, 0, 1) and UNFINISHED <= (outcome or 0) <= len(roles),
+            f"{path}: line {number}: condition is {condition} and outcome {outcome}: give 0 or 1, "
+            f"and {UNFINISHED} to {len(roles)}",
+        )
         if outcome is None:
             outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
         if outcome == UNFINISHED:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from animarl_envs.checks import check_options, option, plain
 from animarl_envs.demos.splits import Splitting
@@ -15,6 +18,7 @@ from animarl_envs.importing.cleaning import Cleaning, Scaling
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.species import CUSTOM, SPECIES
 
+SMALLEST = 1e-6  # length, time or rate; much less overflows
 NOT_STATED = "not stated"  # the licence, where nobody said
 
 
@@ -129,15 +133,31 @@ class ImportRecipe:
 
 
 def _build(kind: type[Any], values: Any, name: str) -> Any:
-    require(isinstance(values, Mapping), f"{name}: it is {values!r}: give names and values")
-    known = {one.name for one in fields(kind)}
-    if unknown := sorted(str(key) for key in set(values) - known):
+    require(isinstance(values, Mapping), f"{name}: it is {values!r:.80}: give names and values")
+    hints = get_type_hints(kind)
+    if unknown := sorted(str(key) for key in set(values) - set(hints)):
         raise InputError(
-            f"{name}: the entry {unknown[0]!r} is unknown: choose among {', '.join(sorted(known))}"
+            f"{name}: the entry {unknown[0]!r} is unknown: choose among {', '.join(sorted(hints))}"
         )
+    checked = {key: _of_kind(hints[key], value, f"{name}: {key}") for key, value in values.items()}
     try:
-        return kind(**{k: float(v) if v in ("inf", "-inf") else v for k, v in values.items()})
+        return kind(**checked)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: a value does not fit ({error}): check the recipe") from None
+
+
+def _of_kind(hint: Any, value: Any, place: str) -> Any:
+    """Return a value of the kind that ``hint`` is; infinity may be text, and a tuple a list."""
+    if isinstance(value, str) and value in ("inf", "-inf"):
+        value = float(value)
+    elif isinstance(value, list):
+        value = tuple(value)
+    elif isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and 0 < abs(value) < SMALLEST:
+        raise InputError(f"{place} is {value:g}: give 0, or at least {SMALLEST:g}")
+    try:
+        return TypeAdapter(hint).validate_python(value, strict=True)
+    except ValidationError as error:
+        problem = error.errors()[0]["msg"].replace("Input", "it", 1)
+        raise InputError(f"{place} is {value!r:.80}: {problem[0].lower()}{problem[1:]}") from None

@@ -42,6 +42,16 @@ class Traits:
         score = (values - self.centre[condition]) / self.scale
         return np.asarray(np.clip(score, -LARGEST, LARGEST))
 
+    def __eq__(self, other: object) -> bool:
+        """Return whether all numbers are equal: two runs on the same recordings fit the same."""
+        if not isinstance(other, Traits):
+            return NotImplemented
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return all(np.array_equal(mine, its) for mine, its in pairs)
+
+    def __hash__(self) -> int:
+        return hash(self.table.tobytes())
+
 
 def episode_traits(positions: Floats, lengths: NDArray[np.integer], dt: float) -> Floats:
     """Mean speed [arena unit / s] and mean size of turns [rad / s], ``(episodes, K, 2)``.

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
+from refusals import refuses
 
 from animarl_envs.files import all_files_or_none, write_then_rename
 
@@ -53,3 +54,25 @@ def test_files_are_moved_only_when_all_are_there(tmp_path: Path) -> None:
         (part / "below").mkdir()
         (part / "below" / "new.csv").write_text("new")
     assert {path.name for path in out.rglob("*.csv")} == {"old.csv", "new.csv"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pipes, links and permissions")
+def test_devices_are_not_replaced_links_are_followed_and_the_umask_is_kept(tmp_path: Path) -> None:
+    pipe, link, file = tmp_path / "pipe", tmp_path / "link.csv", tmp_path / "file.csv"
+    os.mkfifo(pipe)
+    for special in (pipe, Path("/dev/null")):
+        refuses("it is a pipe or a device: name another file", write_then_rename(special).__enter__)
+    assert pipe.is_fifo()
+    link.symlink_to(file)
+    before = os.umask(0o077)
+    try:
+        with write_then_rename(link) as part:
+            part.write_text("private")
+        assert link.is_symlink() and file.read_text() == "private"
+        assert file.stat().st_mode & 0o777 == 0o600
+        os.umask(0o002)
+        with write_then_rename(file):
+            pass
+        assert file.stat().st_mode & 0o777 == 0o664
+    finally:
+        os.umask(before)

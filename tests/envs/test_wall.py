@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pages import python
 from refusals import refuses
 
 from animarl_envs import wall
@@ -82,6 +83,36 @@ def test_a_regular_expression_that_never_ends_is_refused() -> None:
     with pytest.raises(InputError, match="more than 2 s of processor time: simplify it"):
         split_recordings(names, Splitting(by="group", pattern=ENDLESS))
     assert time.process_time() - began < 1.0
+
+
+CLOSED = """
+import os, resource, sys
+import numpy as np
+from animarl_envs import wall
+for number in (0, 1, 2):
+    if str(number) in sys.argv[1]:
+        os.close(number)
+found = wall.call(np.arange, 10**5, what="f")
+os.write(1, b"printed")
+assert wall.call(len, found, what="f") == len(found) == 10**5
+os._exit(7)
+"""
+LIMITED = """
+import resource
+from animarl_envs import wall
+resource.setrlimit(resource.RLIMIT_CPU, (40, 40))
+assert wall.call(len, "abc", what="f") == 3
+print(wall.call(resource.getrlimit, resource.RLIMIT_CPU, what="f"))
+"""
+
+
+@pytest.mark.parametrize("closed", ["0", "1", "2", "012"])
+def test_standard_descriptors_may_be_closed(closed: str) -> None:
+    assert python(CLOSED, closed, check=False).returncode == 7
+
+
+def test_a_lower_limit_of_the_caller_is_kept() -> None:
+    assert python(LIMITED).stdout.strip() == "[39, 40]"
 
 
 def test_conditions_are_names() -> None:

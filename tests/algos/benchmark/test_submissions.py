@@ -81,6 +81,27 @@ def test_benchmark_refuses_what_is_no_submission(submission: Path, tmp_path: Pat
         read_submission(test.save(tmp_path / "recorded.npz"), "fly")
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("lengths", 2**62, r"episode 1 has 4611686018427387904 frames"),
+        ("lengths", 17.7, r"lengths: 17\.7 is no whole number"),
+        ("outcome", 257, "outcome: 257 is no"),
+        ("condition", 256, "condition: 256 is no"),
+    ],
+)
+def test_numbers_of_a_submission_are_checked_before_they_are_cast(
+    submission: Path, tmp_path: Path, key: str, value: float, said: str
+) -> None:
+    with np.load(submission) as stored:
+        arrays = dict(stored)
+    arrays[key] = arrays[key].astype(type(value))
+    arrays[key][1] = value
+    bad = tmp_path / "bad.npz"
+    np.savez(bad, **arrays)
+    assert refuses(said, read_submission, bad, "fly").startswith(f"{bad}: ")
+
+
 def test_rollouts_that_were_told_another_condition_are_left_out(
     submission: Path, tmp_path: Path
 ) -> None:

@@ -31,8 +31,10 @@ from animarl_algos.runs.pipeline import load_demonstrations
 from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_files import commit, machine
+from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.joining import first_of_role
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.result import fit_locomotion
 
@@ -50,6 +52,21 @@ def test_rollouts_that_are_no_longer_made_do_not_stay(tmp_path: Path) -> None:
     refuses(r"decisions\.npz", own.rollouts)
     roll_out(own)
     assert list(own.rollouts()) == ["SOFT-BC"]
+
+
+def test_two_runs_of_animals_that_differ_are_compared(tmp_path: Path) -> None:
+    """Their traits are fitted twice, to equal numbers."""
+    demos = load_packaged("solo").select(np.arange(0, 160, 8))
+    factors = np.random.default_rng(0).uniform(0.4, 1.0, len(demos))  # who was slow stays so
+    walks = demos.positions * np.repeat(factors, demos.lengths)[:, None, None]
+    still = np.zeros_like(demos.initial_velocity)
+    slower = replace(demos, species="custom", positions=walks, initial_velocity=still)
+    for seed in (0, 1):
+        asked = RunSettings(file="x.npz", algo="soft-bc", steps=1, seed=seed, thrusts="1")
+        pipeline.fit(pipeline.open_run(asked, tmp_path / str(seed), "animarl run x.npz", slower))
+    compared = RunSet.open([tmp_path / "0", tmp_path / "1"])
+    assert compared.species.traits is not None
+    assert compared.seeds == {"SOFT-BC": (0, 1)}
 
 
 def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:

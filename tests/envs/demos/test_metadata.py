@@ -332,6 +332,13 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     (edited("initial_velocity", (0, 0, 0), np.inf), "initial_velocity"),
     ({"lengths": np.array([4, 2, 7])}, "add up"), ({"lengths": np.array([5, 1, 6])}, "1 frame:"),
     ({"lengths": np.array([6, 0, 6])}, "0 frames"),
+    ({"lengths": np.array([2**62, 2**62, 12])}, "4611686018427387904 frames"),
+    ({"lengths": np.array([4, 2, 2**64 - 1], dtype=np.uint64)}, "lengths: 18446744073709551615"),
+    ({"lengths": np.array([4.0, 2.7, 6.0])}, "lengths: 2.7 is no whole number"),
+    ({"lengths": np.array(["4", "2", "6"])}, "lengths: it is of kind"),
+    ({"condition": np.array([0, 256, 1])}, "condition: 256 is no"),
+    ({"outcome": np.array([257, 0, 0])}, "outcome: 257 is no"),
+    ({"positions": np.zeros((12, 2, 2), dtype=complex)}, "positions: it is of kind complex128"),
     ({"positions": np.zeros((12, 3, 2))}, "not (frames, 2, 2)"), ({"dt": 0.0}, "dt"),
     ({"dt": -0.1}, "dt"), ({"dt": float("nan")}, "dt"),
     ({"individuals": ("prey", "prey")}, "appears twice"),
@@ -395,6 +402,14 @@ def test_a_spoilt_file_is_refused_by_name(tmp_path: Path) -> None:
     Demonstrations(**content()).save(path)
     path.write_bytes(path.read_bytes()[:300])
     refuses(r"spoilt\.npz: .*", Demonstrations.load, path)
+
+
+def test_a_file_is_opened_in_another_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Demonstrations(**content()).save(tmp_path / "tracks.npz")
+    monkeypatch.setattr("animarl_envs.files.load_npy", None)  # of this process
+    assert len(Demonstrations.load(path)) == 3
 
 
 def test_selection_keeps_episodes_whole() -> None:

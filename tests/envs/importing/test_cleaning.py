@@ -217,8 +217,11 @@ def test_event_tables(tmp_path: Path) -> None:
     for row, said in (
         ("r,1,99", r"events.csv: line 2 lies outside r \(0.000 to 6.100 s\)"),
         ("r,1", "events.csv: line 2 has 2 cells, the header 3"),
+        ("r,1,2,,300", "line 2: condition is None and outcome 300: give 0 or 1, and -3 to 2"),
+        ("r,1,2,256,1", "line 2: condition is 256 and outcome 1"),
     ):
-        table.write_text(f"recording,start,end\n{row}\n")
+        columns = ("recording", "start", "end", "condition", "outcome")
+        table.write_text(f"{','.join(columns[: max(3, row.count(',') + 1)])}\n{row}\n")
         refuses(said, cut_episodes, approach_path(), CHASE, 10.0, settings, "r")
 
 

@@ -214,6 +214,8 @@ def test_animals_that_differ_are_found_and_equal_ones_are_not() -> None:
     assert np.corrcoef(found.table[:, 0, 0], differing)[0, 1] > 0.98
     assert found.table[:, 0, 0].std() == pytest.approx(1.0, abs=1e-6)
     assert not found.table[:, 0, 1].any()  # all turn alike
+    assert found == fit_traits(*walks(differing), DT, none)
+    assert found != fit_traits(*walks(differing[::-1]), DT, none) and found != "traits"
     assert fit_traits(*walks(np.ones(20)), DT, none) is None
     assert fit_traits(*walks(differing[:7]), DT, none[:7]) is None  # so few cannot say
 
