@@ -8,6 +8,44 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+EXTRA_MODULES = frozenset(
+    {
+        "Box2D",
+        "PIL",
+        "charset_normalizer",
+        "filelock",
+        "h5py",
+        "imageio",
+        "imageio_ffmpeg",
+        "jinja2",
+    "joblib",
+        "loguru",
+        "matplotlib",
+        "minari",
+        "movement",
+        "openpyxl",
+        "optuna",
+        "pandas",
+        "pyarrow",
+        "pygame",
+        "ray",
+        "rich",
+        "rl_zoo3",
+        "safetensors",
+        "sb3_contrib",
+        "scipy",
+        "sklearn",
+        "sleap_io",
+        "stable_baselines3",
+        "tensorboard",
+        "threadpoolctl",
+        "torch",
+        "tqdm",
+        "typer",
+        "yaml",
+    }
+)
+"""Modules of the packages in the extras; movement brings loguru, scikit-learn threadpoolctl."""
 _APPENDED_BY_GYMNASIUM = " was raised from the environment creator for "
 
 
@@ -111,8 +149,18 @@ class MissingExtraError(ImportError):
 
 @contextmanager
 def require_extra(feature: str, extra: str) -> Iterator[None]:
-    """Raise a :class:`MissingExtraError` where an import fails, of what ``feature`` needs."""
+    """Raise a :class:`MissingExtraError` where a package that ``feature`` needs is missing."""
     try:
         yield
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if not is_of_an_extra(error):
+            raise
         raise MissingExtraError(feature, extra) from error
+
+
+def is_of_an_extra(error: ModuleNotFoundError) -> bool:
+    """Return whether the missing module is of a package that an extra brings.
+
+    Another one is missing where an installation is broken, which the error itself explains best.
+    """
+    return (error.name or "").partition(".")[0] in EXTRA_MODULES

@@ -12,7 +12,7 @@ from importlib.resources import files
 from time import perf_counter
 from typing import Any, NamedTuple
 
-from animarl_envs.errors import InputError, MissingExtraError, printable
+from animarl_envs.errors import InputError, MissingExtraError, is_of_an_extra, printable
 from animarl_envs.files import unreadable_or_unwritable
 
 try:
@@ -149,7 +149,7 @@ def main() -> None:
     except (InputError, MissingExtraError) as error:
         sys.exit(_refuse(str(error)))
     except ModuleNotFoundError as error:
-        if (error.name or "").startswith("animarl"):
+        if not is_of_an_extra(error):
             raise
         sys.exit(_refuse(str(MissingExtraError("this command", "algos"))))
     except OSError as error:

@@ -107,6 +107,29 @@ def test_the_command_line_without_its_extra_says_so() -> None:
     )
 
 
+BROKEN = """
+import sys
+from animarl_envs.errors import require_extra
+kind, name = sys.argv[1:]
+with require_extra("reading", "data"):
+    raise getattr(__import__("builtins"), kind)("libcudart.so is missing", name=name)
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "said"),
+    [
+        ("ModuleNotFoundError", "scipy.signal", "MissingExtraError: reading needs the extra"),
+        ("ModuleNotFoundError", "markupsafe", "ModuleNotFoundError: libcudart.so is missing"),
+        ("ImportError", "torch", "ImportError: libcudart.so is missing"),
+    ],
+)
+def test_a_broken_installation_is_not_taken_for_a_missing_extra(
+    kind: str, name: str, said: str
+) -> None:
+    assert said in python(BROKEN, kind, name, check=False).stderr.splitlines()[-1]
+
+
 def test_a_missing_extra_can_be_raised_anew() -> None:
     """Gymnasium's process vectors and pickle make an error again from its text."""
     error = MissingExtraError("rendering", "render")

@@ -1,5 +1,6 @@
 """What is asked of an installation, and that a built wheel holds all that the project needs."""
 
+import ast
 import os
 import re
 import shutil
@@ -8,16 +9,29 @@ import sys
 import tarfile
 import tomllib
 import venv
+from configparser import ConfigParser
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 import yaml
 from pages import python
 
+from animarl_envs.errors import EXTRA_MODULES
+
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
-PROJECT = CONFIG["project"]
-EXTRAS: dict[str, list[str]] = PROJECT["optional-dependencies"]
+SETUP = ConfigParser()
+SETUP.read_string((ROOT / "setup.cfg").read_text())
+
+
+def entries(section: str, key: str) -> list[str]:
+    """Return the lines of a list in ``setup.cfg``."""
+    return SETUP[section][key].split("\n")[1:]
+
+
+CORE = entries("options", "install_requires")
+EXTRAS = {name: entries("options.extras_require", name) for name in SETUP["options.extras_require"]}
 
 
 def pins() -> dict[str, str]:
@@ -32,8 +46,8 @@ def canonical(name: str) -> str:
 
 
 def requirements() -> list[str]:
-    """Everything that ``pyproject.toml`` asks for, extras and groups included."""
-    lists = [PROJECT["dependencies"], *EXTRAS.values(), *CONFIG["dependency-groups"].values()]
+    """Return everything that the project asks for, extras and groups included."""
+    lists = [CORE, *EXTRAS.values(), *CONFIG["dependency-groups"].values()]
     return [line for entry in lists for line in entry if not line.startswith("animarl[")]
 
 
@@ -46,6 +60,30 @@ def test_versions_are_fixed_in_the_constraints_alone() -> None:
     assert "torch>=2.2" in requirements()
     # No version of torch stands anywhere else, so that nothing can ask for another build.
     assert "torch==" not in (ROOT / "Makefile").read_text()
+
+
+BROUGHT = {"loguru": "movement", "threadpoolctl": "scikit-learn"}
+
+
+def test_modules_of_extras_are_of_their_packages() -> None:
+    """Each is of a package in an extra, and none is of the core."""
+    named = {canonical(re.split(r"[<>=]", line)[0]) for lines in EXTRAS.values() for line in lines}
+    homes = packages_distributions()
+    for module in EXTRA_MODULES & homes.keys():
+        owners = {BROUGHT.get(module) or canonical(name) for name in homes[module]}
+        assert owners & named, module
+    imported: set[str] = set()
+    for package in ("animarl_envs", "animarl_algos"):
+        for file in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text())):
+                if isinstance(node, ast.Import):
+                    imported |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module:
+                    imported.add(node.module.partition(".")[0])
+    core = {canonical(re.split(r"[<>=]", line)[0]) for line in CORE}
+    core |= {"animarl-envs", "animarl-algos", "pydantic-core", "typing-extensions"}
+    foreign = {name for name in imported if canonical(name) not in core}
+    assert foreign - set(sys.stdlib_module_names) <= EXTRA_MODULES
 
 
 def test_everybody_uses_the_same_ruff() -> None:
@@ -64,8 +102,9 @@ def test_hosted_tests_are_those_of_the_makefile() -> None:
     actions = [step["uses"] for job in steps.values() for step in job if "uses" in step]
     assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", action) for action in actions)
     pythons = workflow["jobs"]["core"]["strategy"]["matrix"]["python-version"]
-    named = [line.rpartition(" ")[2] for line in PROJECT["classifiers"] if "Python :: 3." in line]
-    assert pythons == named and PROJECT["requires-python"] == f">={pythons[0]}"
+    classifiers = entries("metadata", "classifiers")
+    named = [line.rpartition(" ")[2] for line in classifiers if "Python :: 3." in line]
+    assert pythons == named and CONFIG["project"]["requires-python"] == f">={pythons[0]}"
 
 
 def test_locks_hold_every_package_that_is_asked_for_by_hash_and_no_address() -> None:
@@ -73,7 +112,7 @@ def test_locks_hold_every_package_that_is_asked_for_by_hash_and_no_address() -> 
     asked = {canonical(re.split(r"[<>=!~]", line)[0]) for line in requirements()}
     for text, names in (
         (whole, asked),
-        (core, {"gymnasium", "numpy", "numba", "pettingzoo", "pytest", "hypothesis"}),
+        (core, {re.split(r"[<>=]", line)[0] for line in CORE} | {"pytest", "hypothesis"}),
     ):
         locked = set(re.findall(r"^([\w.-]+)==", text, re.MULTILINE))
         assert names <= locked
@@ -82,7 +121,7 @@ def test_locks_hold_every_package_that_is_asked_for_by_hash_and_no_address() -> 
 
 
 def test_the_page_of_a_registry_links_to_nothing_that_is_not_there() -> None:
-    page = (ROOT / PROJECT["readme"]).read_text()
+    page = (ROOT / SETUP["metadata"]["long_description"].removeprefix("file: ")).read_text()
     links = re.findall(r"\]\(([^)]*)\)", page)
     assert links and all(link.startswith("https://") for link in links)
     for extra in EXTRAS:
@@ -111,7 +150,7 @@ main()
 )
 def test_animals_are_watched_without_what_learns(tmp_path: Path, more: tuple[str, ...]) -> None:
     """The packages that ``render`` and ``cli`` bring are enough."""
-    enough = [*PROJECT["dependencies"], *EXTRAS["render"], *EXTRAS["cli"]]
+    enough = [*CORE, *EXTRAS["render"], *EXTRAS["cli"]]
     here = {re.split(r"[<>=]", line)[0] for line in enough}
     asked = {re.split(r"[<>=]", line)[0] for e in ("algos", "data") for line in EXTRAS[e]}
     modules = {"scikit-learn": "sklearn", "pyyaml": "yaml"}
