@@ -5,7 +5,7 @@
 # make coverage   the tests of make test, and which lines none of them reached
 # make docs   the documentation site, in docs/_build/html; warnings are errors
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
-# make locks   the exact set of every package for every Python, with uv
+# make locks   constraints.txt with hashes, and what other systems need beside it, with uv
 # make fuzz [N=20000] [SEED=0]   damaged files through every reader, see SECURITY.md
 PYTHON ?= python3.11
 VENV := .venv
@@ -16,7 +16,8 @@ CORE := .venv-core/bin/python
 NOT_CORE := $(addprefix --ignore=tests/envs/,test_compiling.py \
 	views/test_view_specs.py worlds/test_executed_actions.py worlds/test_flock.py \
 	worlds/test_plume.py worlds/test_senses.py)
-EXPORT := uv export -q --format requirements-txt --no-emit-project --no-header --no-annotate
+LOCK := uv pip compile -q --universal --python-version 3.11.5 --generate-hashes --no-header \
+	--no-annotate -c constraints.txt pyproject.toml
 # Two files of tests at a time; the tests of one file share what they make.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
@@ -48,9 +49,8 @@ docs: $(VENV)/.docs
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 
 locks:
-	uv lock
-	$(EXPORT) --group core -o locks/core.txt
-	$(EXPORT) --all-extras --all-groups -o locks/all.txt
+	$(LOCK) --group core -o locks/core.txt
+	$(LOCK) --all-extras --group core --group lint -o locks/all.txt
 
 mutants: $(STAMP)
 	$(BIN)/python tools/mutants.py $(MODULES) $(if $(SAMPLE),--sample $(SAMPLE))

@@ -37,8 +37,8 @@ EXTRAS = {name: entries("options.extras_require", name) for name in SETUP["optio
 def pins() -> dict[str, str]:
     """Version by name in ``constraints.txt``, names as pip compares them."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
-    pairs = (line.split("==") for line in lines if line and not line.startswith("#"))
-    return {canonical(name): version for name, version in pairs}
+    pinned = (line.partition(" ; ")[0] for line in lines if line and not line.startswith("#"))
+    return {canonical(name): version for name, version in (line.split("==") for line in pinned)}
 
 
 def canonical(name: str) -> str:
@@ -118,6 +118,20 @@ def test_locks_hold_every_package_that_is_asked_for_by_hash_and_no_address() -> 
         assert names <= locked
         assert "://" not in text
         assert text.count("--hash=sha256:") > len(locked)
+
+
+def test_locks_hold_the_versions_that_are_tested() -> None:
+    """Constraints are what Python 3.11 on Linux is tested with; more is for other systems."""
+    tested = pins()
+    for name in ("core", "all"):
+        text = (ROOT / "locks" / f"{name}.txt").read_text()
+        locked = re.findall(r"^([\w.-]+)==([^ ]+)(?: ; (.+))? \\$", text, re.MULTILINE)
+        assert locked
+        for package, version, where in locked:
+            if where != "sys_platform == 'win32'" and (package in tested or not where):
+                assert (package, version) == (package, tested.get(package))
+        if name == "all":
+            assert tested.keys() == tested.keys() & {package for package, _, _ in locked}
 
 
 def test_the_page_of_a_registry_links_to_nothing_that_is_not_there() -> None:

@@ -62,7 +62,9 @@ def test_two_runs_of_animals_that_differ_are_compared(tmp_path: Path) -> None:
     still = np.zeros_like(demos.initial_velocity)
     slower = replace(demos, species="custom", positions=walks, initial_velocity=still)
     for seed in (0, 1):
-        asked = RunSettings(file="x.npz", algo="soft-bc", steps=1, seed=seed, thrusts="1")
+        asked = RunSettings(
+            file="x.npz", species="custom", algo="soft-bc", steps=1, seed=seed, thrusts="1"
+        )
         pipeline.fit(pipeline.open_run(asked, tmp_path / str(seed), "animarl run x.npz", slower))
     compared = RunSet.open([tmp_path / "0", tmp_path / "1"])
     assert compared.species.traits is not None
