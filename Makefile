@@ -1,5 +1,5 @@
 # make demo   make the environment, run the main job on packaged demonstrations, name the report
-# make test   lint, types, tests
+# make test   lint, types, tests, among them that the documentation site builds without a warning
 # make test-core [PYTHON=python3.13]   the environments alone, without what learns, on any Python
 # make slow   the tests that take minutes
 # make coverage   the tests of make test, and which lines none of them reached
@@ -45,7 +45,7 @@ coverage: $(STAMP)
 slow: $(STAMP)
 	$(PYTEST) -m slow
 
-docs: $(VENV)/.docs
+docs: $(STAMP)
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 
 locks:
@@ -74,9 +74,5 @@ clean:
 $(STAMP): pyproject.toml setup.cfg constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[all]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[all,docs]'
 	touch $(STAMP)
-
-$(VENV)/.docs: $(STAMP)
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
-	touch $@

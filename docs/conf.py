@@ -35,7 +35,9 @@ html_show_sourcelink = False
 # Pages are read on a repository's site too, where README.md is a folder's first page.
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
-nb_execution_mode = "cache"
+# `sphinx-build -t unexecuted` is what make test builds: all pages, no notebook is executed.
+unexecuted = tags.has("unexecuted")  # type: ignore[name-defined]  # noqa: F821
+nb_execution_mode = "off" if unexecuted else "cache"
 nb_execution_in_temp = True
 nb_merge_streams = True
 nb_execution_timeout = 600
@@ -48,6 +50,8 @@ autosummary_generate = True
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 suppress_warnings = ["mystnb.unknown_mime_type", "misc.highlighting_failure"]
+if unexecuted:
+    suppress_warnings.append("myst-nb.lexer")  # the kernel would have named the language
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -125,7 +129,8 @@ def resolve_links(app: Any, docname: str, source: list[str]) -> None:
 
 def setup(app: Any) -> None:
     """Connect what is made at build."""
-    app.connect("builder-inited", make_live_pages)
+    if not unexecuted:
+        app.connect("builder-inited", make_live_pages)
     app.connect("builder-inited", list_public_names)
     app.connect("builder-inited", copy_changelog)
     app.connect("source-read", resolve_links)

@@ -300,6 +300,7 @@ def evaluate(
     """Measure and compare the rollouts of several methods.
 
     Rollouts from the start of a recording that was cut stop there too, as in the verdict.
+
     Parameters
     ----------
     rollouts
