@@ -18,7 +18,7 @@ EXTRA_MODULES = frozenset(
         "imageio",
         "imageio_ffmpeg",
         "jinja2",
-    "joblib",
+        "joblib",
         "loguru",
         "matplotlib",
         "minari",
