@@ -85,7 +85,7 @@ BUDGETS = {
     "animarl_envs.demos": 8_350,
     "animarl_envs.drawing": 9_590,
     "animarl_envs.fitting": 19_140,
-    "animarl_envs.importing": 48_200,
+    "animarl_envs.importing": 48_350,
     "animarl_envs.species": 6_870,
     "animarl_envs.views": 6_270,
     "animarl_envs.worlds": 34_950,
