@@ -85,7 +85,7 @@ BUDGETS = {
     "animarl_envs.demos": 8_350,
     "animarl_envs.drawing": 9_590,
     "animarl_envs.fitting": 19_140,
-    "animarl_envs.importing": 48_350,
+    "animarl_envs.importing": 48_400,
     "animarl_envs.species": 6_870,
     "animarl_envs.views": 6_270,
     "animarl_envs.worlds": 34_950,
@@ -96,7 +96,7 @@ ALL_TOKENS = 310_000
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 2_680
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 29_100
+TEST_LINES = 29_450
 """Most lines of Python in the tests; they are to be 24,000."""
 
 
