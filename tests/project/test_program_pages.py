@@ -55,15 +55,20 @@ while to_add:
         if "extra ==" not in one:
             to_add.append(re.match(r"[\\w.-]+", one)[0].lower().replace("-", "_"))
 
-class CoreAlone:
-    def find_spec(self, name, path=None, target=None):
-        top = name.partition(".")[0]
-        packages = importlib.metadata.packages_distributions().get(top, [])
-        own = {one.lower().replace("-", "_") for one in packages}
-        if top == "animarl_algos" or (own and not own & (core | {"animarl"})):
-            raise ModuleNotFoundError(f"No module named {top!r}", name=top)
+absent = {"animarl_algos"}
+for module, packages in importlib.metadata.packages_distributions().items():
+    names = {one.lower().replace("-", "_") for one in packages}
+    absent |= set() if names & (core | {"animarl"}) else {module}
 
-sys.meta_path.insert(0, CoreAlone())
+class CoreAlone:
+    def __init__(self, finder):
+        self.finder = finder
+
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] not in absent:
+            return self.finder.find_spec(name, path, target)
+
+sys.meta_path[:] = map(CoreAlone, sys.meta_path)
 """
 
 CONTRIBUTING = (ROOT / "docs" / "contributing.md").read_text()
