@@ -6,7 +6,8 @@
 # make docs   the documentation site, in docs/_build/html; warnings are errors
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
 # make locks   constraints.txt with hashes, and what other systems need beside it, with uv
-# make fuzz [N=20000] [SEED=0]   damaged files through every reader, see SECURITY.md
+# make fuzz [N=20000] [M=10000] [SEED=0]   N damaged files through every reader, and M whole tables
+#             whose meaning is known; see SECURITY.md
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,6 +23,7 @@ LOCK := uv pip compile -q --universal --python-version 3.11.5 --generate-hashes 
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 N ?= 20000
+M ?= 10000
 SEED ?= 0
 
 .PHONY: demo test test-core coverage slow docs locks mutants fuzz lint types clean
@@ -57,6 +59,7 @@ mutants: $(STAMP)
 
 fuzz: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz -n $(N) --seed $(SEED)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz --meanings $(M) --seed $(SEED)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

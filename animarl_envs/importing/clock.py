@@ -28,7 +28,7 @@ PAUSES = 0.1  # share of steps from frame to frame that may take another time, a
 IRREGULAR, MANY = 0.01, 20  # share and number of steps off whole frames: fewer are wrong times
 LONGEST_STEP = 2.5  # usual steps; longer ones of an irregular clock are gaps
 FINE = 5  # roundings in a usual step; fewer do not tell a clock that ticks unevenly
-SLOWEST, FASTEST = 1.0, 1000.0  # [Hz] of cameras, the first excluded: it is of frame numbers
+SLOWEST, FASTEST = 1.0, 500.0  # [Hz] of nearly all cameras; 1 Hz itself is of frame numbers
 IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
 DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"

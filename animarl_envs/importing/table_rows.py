@@ -317,6 +317,7 @@ def _with_boxes(table: tables.Table, found: Columns, number: dict[str, Floats]) 
     x1, y1, x2, y2 = (number[name] for name in corners)
     low, high = np.stack([x1, y1]), np.stack([x2, y2])
     seen = np.isfinite(low + high).all(axis=0)
+    seen &= (low != high).any(axis=0)  # the corners of a lost animal are one mark, such as 0
     low, high = low[:, seen], high[:, seen]
     if not seen.any() or (high > low).all(axis=0).mean() < ORDERED:
         return found

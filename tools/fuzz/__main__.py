@@ -1,7 +1,8 @@
 """``python -m tools.fuzz``: damaged files through every reader, and what became of them.
 
 Every file is of the project's own making, damaged by a seeded generator; ``--show KIND NUMBER``
-writes one of them again. See SECURITY.md for what the counts mean.
+writes one of them again. ``--meanings`` counts whole tables of known meaning that are read wrongly.
+See SECURITY.md for what the counts mean.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from tools.fuzz.meanings import count_meanings
 from tools.fuzz.targets import TARGETS
 from tools.fuzz.workers import damage_number, fuzz
 
@@ -33,10 +35,18 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--kinds", default=",".join(TARGETS), help="some of them, by comma")
     parser.add_argument("--show", nargs=2, metavar=("KIND", "NUMBER"), help="write one file here")
+    parser.add_argument("--meanings", type=int, default=0, help="tables of known meaning instead")
     asked = parser.parse_args()
     names = asked.kinds.split(",")
     if asked.show:
         return show(asked.show[0], int(asked.show[1]), asked.seed)
+    if asked.meanings:
+        counts, lines = count_meanings(asked.meanings, asked.workers, asked.seed)
+        print("\n".join(lines))
+        print(f"{asked.meanings:,} tables of known meaning, seed {asked.seed}:")
+        for outcome in ("right", "refused", "wrong"):
+            print(f"{counts[outcome]:>9,}  {outcome}")
+        return int(counts["wrong"] > 0)
     began = time.monotonic()
     result = fuzz(asked.n, asked.workers, asked.seed, names)
     seconds = time.monotonic() - began

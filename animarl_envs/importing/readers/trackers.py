@@ -204,9 +204,12 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
 
 
 def _is_idtracker_csv(path: Path) -> bool:
-    """Whether it is of version 6, of an earlier one, or of one without times by its name."""
+    """Return whether a table is of idtracker.ai: of version 6, of an earlier one, or by its name.
+
+    Under another name ``x1, y1, x2, y2`` may be the corners of a box: any wide table is asked that.
+    """
     names, named = tables.plain_table(path).names, path.stem.startswith("trajectories")
-    dated = names[:2] in (("time", "x1"), ("seconds", "x1"))
+    dated = names[:2] in (("time", "x1"), ("seconds", "x1")) and (named or len(names) != 5)
     return dated or names == IDTRACKER_TIDY or (names[:2] == ("x1", "y1") and named)
 
 
