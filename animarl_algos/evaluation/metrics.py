@@ -191,6 +191,9 @@ METRICS = [
                 too_little="stands still too rarely"),
     _of_verdict("turning", "Turning", "rad/s", lambda e: e.motion[3],
                 too_much="turns too much", too_little="turns too little"),
+    _of_verdict("occupancy", "Occupancy distance", "share", lambda e: e.occupancy,
+                tolerance=OF_SHARE, too_much="goes to other places than recorded",
+                too_little="keeps too much to the usual places"),
 ]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
 TARGET_REACHED, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP = METRICS[:5]

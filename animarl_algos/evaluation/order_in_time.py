@@ -279,7 +279,15 @@ def _lead(course: Floats, farthest: int) -> Floats:
 
 
 def _places(series: Series, arena: Arena, has_goal: bool) -> Iterator[tuple[str, Floats]]:
-    """Measures of where individuals are; without a goal, an open field has its start alone."""
+    """Measures of where individuals are, and along which axis of the field they go.
+
+    The anisotropy of the course is 1 where all steps run along one line, and 0 where they have no
+    axis. Without a goal, an open field has its start alone.
+    """
+    course = series.course
+    axis = 2 * np.arctan2(course[..., 1], course[..., 0])
+    yield "anisotropy of the course", np.hypot(_mean(np.cos(axis)), _mean(np.sin(axis)))
+    yield "course along the x axis", _mean(np.cos(axis))
     if arena.shape == "open" and not has_goal:
         gone = np.linalg.norm(series.position - series.position[:, :1], axis=-1)
         yield "distance from the start", _mean(gone)

@@ -26,6 +26,7 @@ from animarl_envs.errors import require
 
 REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
 WINDOW = 2.0  # [s]
+CELLS = 8  # along each side of the field, of maps of where individuals are
 NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
 DECIMALS = 9  # [arena unit] of smoothed positions
 HALF_POWER = 0.443  # cutoff of a moving average times its length
@@ -53,6 +54,27 @@ class Prepared:
     def rest(self) -> Floats:
         """``(individuals,)`` steps up to this length are at rest [arena unit]."""
         return resting_step(self.recorded)
+
+    @cached_property
+    def maps(self) -> Floats:
+        """``(starts, individuals, cells)`` shares of the recorded frames in each cell."""
+        return self.cell_shares(self.recorded)
+
+    def cell_shares(self, rollouts: Rollouts) -> Floats:
+        """Return the shares of the frames of each episode in each cell of the field.
+
+        ``(episodes, individuals, cells)``. The rectangle that holds the recorded positions is
+        divided into ``CELLS`` by ``CELLS`` cells; those at its edge hold what lies beyond.
+        """
+        known = self.recorded.positions.reshape(-1, 2)
+        low, size = known.min(axis=0), np.maximum(np.ptp(known, axis=0), 1e-9)
+        place = np.clip((CELLS * (rollouts.positions - low) / size).astype(int), 0, CELLS - 1)
+        cell = place[..., 0] * CELLS + place[..., 1]
+        shares = np.zeros((len(rollouts), cell.shape[1], CELLS**2))
+        episode = np.repeat(np.arange(len(rollouts)), rollouts.lengths)
+        for who in range(cell.shape[1]):
+            np.add.at(shares, (episode, who, cell[:, who]), 1.0)
+        return np.asarray(shares / rollouts.lengths[:, None, None])
 
     def episodes(self, rollouts: Rollouts) -> MeasuredEpisodes:
         """Return rollouts as metrics are worked out from them."""
@@ -129,6 +151,27 @@ class MeasuredEpisodes:
         inside = demos.arena.contains(self.rollouts.positions, margin=margin)
         ever = np.logical_or.reduceat(~inside.all(axis=1), self.rollouts.offsets[:-1])
         return np.asarray(ever | np.isin(self.rollouts.outcome, (TARGET_OUT, PURSUER_OUT)))
+
+    @property
+    def occupancy(self) -> Floats:
+        """``(rollouts,)`` distance of each episode's map to that of the other recordings.
+
+        The share of the time that would have to be spent elsewhere, mean over individuals. Left out
+        of the map is the recording that the episode started from, of recordings their own.
+        """
+        prepared, demo = self.prepared, self.rollouts.demo
+        maps, lengths = prepared.maps, prepared.recorded.lengths
+        unit = np.unique(prepared.demos.recording, return_inverse=True)[1]
+        counts = maps * lengths[:, None, None]
+        if prepared.recorded.is_group:  # animals of a group are alike
+            counts = np.repeat(counts.mean(axis=1, keepdims=True), counts.shape[1], axis=1)
+        own = np.zeros((int(unit.max()) + 1, *counts.shape[1:]))
+        np.add.at(own, unit, counts)
+        others = counts.sum(axis=0) - own
+        total = others.sum(axis=-1, keepdims=True)
+        others = others / np.where(total > 0, total, np.nan)
+        apart = np.abs(prepared.cell_shares(self.rollouts) - others[unit[demo]])
+        return np.asarray(0.5 * apart.sum(axis=-1).mean(axis=1))
 
     @cached_property
     def motion(self) -> Floats:

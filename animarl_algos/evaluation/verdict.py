@@ -79,6 +79,9 @@ class Verdict:
         By kind of feature, how much of the area rests on it.
     worse_than_untrained
         Whether an untrained network comes nearer to the recordings.
+    ranks, rank_p
+        By measure the rank of each recording among the rollouts from its start, from 0 to 1, and
+        how often a perfect simulator's are as uneven (:mod:`animarl_algos.evaluation.ranks`).
     """
 
     table: pd.DataFrame
@@ -91,6 +94,8 @@ class Verdict:
     components: pd.DataFrame | None = None
     importance: Mapping[str, float]
     worse_than_untrained: bool = False
+    ranks: Mapping[str, list[float]] = field(default_factory=dict)
+    rank_p: float = math.nan
 
     @property
     def counts(self) -> dict[str, int]:
@@ -206,6 +211,11 @@ class Verdict:
                 value, low, high = (math.nan if end is None else end for end in ends)
                 some[name] = Interval(value, low, high)
         plain = {key: plain[key] for key in plain if key not in ("headline", "colour", "counts")}
+        plain["rank_p"] = math.nan if plain["rank_p"] is None else plain["rank_p"]
+        plain["ranks"] = {
+            name: [math.nan if one is None else one for one in ranks]
+            for name, ranks in plain["ranks"].items()
+        }
         file = folder / "realism.csv"
         return cls(
             table=read_table(folder / "verdict.csv"),
@@ -234,6 +244,8 @@ def _plain(value: Any) -> Any:
         return [_plain(end) for end in (value.estimate, value.low, value.high)]
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -318,7 +330,7 @@ def verdict(
         apart = statistics.single_cells((ours - other)[None]).by_unit(unit)
         worse = statistics.bootstrap_mean(apart, streams[4]).low > 0
     table = pd.DataFrame(rows)
-    starts = np.unique(counted.demo)
+    starts, ranks = np.unique(counted.demo), compared.ranks
     return Verdict(
         table=table.drop(columns=[name for name in CONTROLS if table[name].isna().all()]),
         learner=rollouts.method,
@@ -330,6 +342,8 @@ def verdict(
         components=components,
         importance=answers[0][2].importance,
         worse_than_untrained=bool(worse),
+        ranks={} if ranks is None else dict(zip(ranks.measures, ranks.values.T.tolist())),
+        rank_p=math.nan if ranks is None else ranks.p,
     )
 
 

@@ -52,6 +52,7 @@ from animarl_algos.evaluation.prepared import (
     has_ended,
     restricted_mean_scores,
 )
+from animarl_algos.evaluation.ranks import Ranks, exact_ranks
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -66,6 +67,8 @@ ALIKE, LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
 COLOURS = {ALIKE: "green", LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
 LITTLE_AUC = 0.60  # alike up to here: two normal curves 0.36 standard deviations apart
 POWER = 0.84  # standard errors beyond the margin, for a change to be found in 80 % of experiments
+RANKED = ("duration", "path_length", "mean_speed", "turning", "nearest_neighbour")
+"""Metrics by which recordings are ranked among the rollouts from their start."""
 CONTROLS = ("strangers", "blind")  # columns of a group alone
 
 
@@ -247,6 +250,7 @@ class Comparison:
     tolerances: Floats
     primary: tuple[str, ...]
     of_conditions: bool = False
+    ranks: Ranks | None = None
 
     @classmethod
     def of(
@@ -262,7 +266,11 @@ class Comparison:
         sides = _sides(prepared.demos, metrics, primary, np.asarray(counted.demo)[~counted.copies])
         found = simultaneous_differences(first, second[~counted.copies], sides, rng)
         allowed = questions.allowed(metrics, found)
-        return cls(prepared, counted, sides.unit, metrics, found, allowed, primary)
+        columns = [i for i, metric in enumerate(metrics) if metric.key in RANKED]
+        names = tuple(metrics[i].label for i in columns)
+        own, other = first[:, columns], second[~counted.copies][:, columns]
+        ranks = exact_ranks(own, other, sides.demo, sides.unit, names, rng.spawn(1)[0])
+        return cls(prepared, counted, sides.unit, metrics, found, allowed, primary, ranks=ranks)
 
     @classmethod
     def between(
@@ -282,7 +290,9 @@ class Comparison:
         ]
         found = group_differences(values[0], values[1], (sides[0], sides[1]), rng)
         allowed = questions.allowed(metrics, found)
-        return cls(prepared, other, sides[0].unit, metrics, found, allowed, primary, True)
+        return cls(
+            prepared, other, sides[0].unit, metrics, found, allowed, primary, of_conditions=True
+        )
 
     def rows(self, blind: Rollouts | None = None) -> Iterator[Row]:
         """Yield a row for each metric of its own, then one for each kind of the others."""

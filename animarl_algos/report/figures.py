@@ -37,6 +37,7 @@ ROW_HEIGHT = 0.52  # of one method in a distribution [inch]
 BINS = 41  # edges of the bins of a histogram
 POINTS = 200  # of a density
 MOST_DOTS = 400  # more rollouts than this are thinned evenly in drawings, never in numbers
+RANK_BINS = 5
 FOREST_LIMIT = 4.0  # tolerances to either side
 WORD_COLOURS = {
     ALIKE: style.GREEN,
@@ -162,6 +163,33 @@ def forest(
         panel.spines["left"].set_visible(False)
         panel.set_ylim(-0.7, len(rows) - 0.3)
         panel.set_xlim(-FOREST_LIMIT, FOREST_LIMIT)
+    return figure
+
+
+def rank_histograms(ranks: Mapping[str, Sequence[float]]) -> Figure:
+    """Draw how often recordings have each rank among their rollouts; a dashed line is uniform."""
+    edges = np.linspace(0.0, 1.0, RANK_BINS + 1)
+    with one_panel(3.4, 2.1, "", xlabel="Rank among the rollouts", ylabel="Share") as drawn:
+        figure, panel = drawn
+        for (name, values), colour, dashes in zip(ranks.items(), style.PURSUERS, style.DASHES):
+            known = np.asarray(values)[np.isfinite(values)]
+            shares = np.histogram(known, edges)[0] / max(len(known), 1)
+            panel.stairs(shares, edges, label=name, color=colour.hex, linestyle=dashes)
+        panel.axhline(1 / RANK_BINS, **REFERENCE)
+        panel.set_xlim(0.0, 1.0)
+        panel.legend(loc="best")
+    return figure
+
+
+def occupancy_map(shares: Floats, title: str, most: float) -> Figure:
+    """Draw where individuals are: ``shares`` ``(columns, rows)`` of the time, dark at ``most``."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    shades = LinearSegmentedColormap.from_list("", [style.FLOOR.hex, style.BLUE.hex])
+    with one_panel(2.2, 2.4, "", title=title) as (figure, panel):
+        panel.pcolormesh(shares.T, cmap=shades, vmin=0.0, vmax=most)
+        panel.set_aspect("equal")
+        panel.set_axis_off()
     return figure
 
 

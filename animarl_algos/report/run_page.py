@@ -11,6 +11,7 @@ import pandas as pd
 from animarl_algos.evaluation.comparison import COUNTING
 from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
 from animarl_algos.evaluation.order_in_time import nearest_other
+from animarl_algos.evaluation.prepared import CELLS, Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Floats, Interval
 from animarl_algos.evaluation.verdict import implausible
@@ -55,7 +56,10 @@ def run_page(inputs: ReportInputs) -> Page:
         sections=[
             Section("verdict", "Verdict", list(verdict_blocks(found, inputs.words))),
             Section("trajectories", "Trajectories", list(_trajectories(inputs))),
-            Section("distributions", "Speeds and distances", list(_distributions(inputs))),
+            Section(
+                "distributions", "Speeds and distances",
+                [*_distributions(inputs), *_places(inputs)],
+            ),
             Section("metrics", "Metrics", list(_metrics(inputs))),
             Section(
                 "provenance", "How this was made",
@@ -139,6 +143,27 @@ def _distributions(inputs: ReportInputs) -> Iterator[Block]:
             f"shared bins; areas sum to one. {len(recorded.positions):,} recorded and "
             f"{len(simulated.positions):,} simulated frames."
         ),
+    )
+
+
+def _places(inputs: ReportInputs) -> Iterator[Block]:
+    """Where individuals are: maps of the recorded and of the simulated side."""
+    prepared = Prepared(inputs.demos)
+    adapt, sides = inputs.words.adapt, (prepared.recorded, factual_rollouts(inputs)[0])
+    maps = [prepared.cell_shares(side).mean(axis=(0, 1)).reshape(CELLS, CELLS) for side in sides]
+    most = float(max(one.max() for one in maps))
+    yield Gallery(
+        [
+            to_image(
+                figures.occupancy_map(one, name, most), adapt(f"Map of where they are: {name}")
+            )
+            for one, name in zip(maps, (adapt("recorded").capitalize(), "Simulated"))
+        ],
+        adapt(
+            "Share of the time in each part of the rectangle that holds the recorded positions, "
+            "all individuals and episodes; the same shade is the same share in both."
+        ),
+        strip=True,
     )
 
 

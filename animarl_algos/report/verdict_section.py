@@ -29,7 +29,7 @@ from animarl_algos.evaluation.verdict_rows import (
     figures,
     lower_first,
 )
-from animarl_algos.report.figures import forest
+from animarl_algos.report.figures import forest, rank_histograms
 from animarl_algos.report.page import Block, Gallery, Lead, Table, tabulate
 from animarl_algos.report.style import method_label, to_image
 from animarl_algos.report.words import NOTHING, Words, number, pick, with_interval
@@ -123,6 +123,16 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         ),
     )
     yield verdict_as_table(verdict, words)
+    if verdict.ranks and math.isfinite(verdict.rank_p):
+        yield Gallery(
+            [to_image(rank_histograms(verdict.ranks), words.adapt("Ranks of the recordings"))],
+            words.adapt(
+                "Rank of each recording among the rollouts from its start (Besag and Clifford "
+                "1989): uniform for a perfect simulator, high at both ends where rollouts are too "
+                f"much alike. A perfect simulator's ranks are as uneven in "
+                f"{100 * verdict.rank_p:.2g} % of experiments."
+            ),
+        )
     scores = verdict.components
     if scores is None or scores.empty:
         return

@@ -1,0 +1,78 @@
+"""The exact rank of each recording among the rollouts from its start.
+
+If a simulator is perfect, the recording is one more rollout: its rank among them by any measure is
+uniform, whatever the distribution (Besag and Clifford 1989, Biometrika 76, 633). One test asks this
+of several measures together. Of a recording that was cut into pieces the first counts, so that
+ranks are independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from animarl_algos.evaluation.statistics import Floats, Ints
+
+DRAWS = 1000  # of ranks of a perfect simulator
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Ranks between 0 and 1, ``(recordings, measures)``, and the ``p`` of all being uniform.
+
+    NaN where a measure is undefined in a recording, or in all rollouts from its start.
+    """
+
+    measures: tuple[str, ...]
+    values: Floats
+    p: float
+
+
+def exact_ranks(
+    recorded: Floats,
+    simulated: Floats,
+    demo: Ints,
+    unit: Ints,
+    measures: tuple[str, ...],
+    rng: np.random.Generator,
+) -> Ranks:
+    """Rank ``recorded`` ``(starts, measures)`` among ``simulated`` ``(rollouts, measures)``.
+
+    ``demo`` ``(rollouts,)`` is the start of each rollout, ``unit`` ``(starts,)`` the recording of
+    each start. Ties are broken by chance.
+    """
+    _, first = np.unique(unit, return_index=True)
+    chosen = [start for start in first.tolist() if (demo == start).any()]
+    ranks, drawn = [], []
+    for start in chosen:
+        own, others = recorded[start], simulated[demo == start]
+        pool = np.concatenate([own[None], others])
+        known = np.isfinite(pool)
+        order = np.lexsort((rng.random(pool.shape), np.nan_to_num(pool, nan=np.inf)), axis=0)
+        place = order.argsort(axis=0)
+        number = known.sum(axis=0)
+        fine = known[0] & (number > 1)
+        ranks.append(np.where(fine, (place[0] + 0.5) / np.maximum(number, 1), np.nan))
+        # A perfect simulator: any of the episodes is called the recording, for all measures alike.
+        other = rng.integers(len(pool), size=DRAWS)
+        fine = known[other] & (number > 1)
+        drawn.append(np.where(fine, (place[other] + 0.5) / np.maximum(number, 1), np.nan))
+    values = np.array(ranks).reshape(len(chosen), len(measures))
+    null = np.array(drawn).reshape(len(chosen), DRAWS, len(measures))
+    found = float(_unevenness(values[:, None])[0]) if len(chosen) else np.nan
+    expected = _unevenness(null)
+    at_least = int(np.count_nonzero(expected >= found * (1 - 1e-9)))
+    return Ranks(measures, values, (1 + at_least) / (1 + DRAWS) if chosen else np.nan)
+
+
+def _unevenness(ranks: Floats) -> Floats:
+    """Return the largest Cramer-von Mises distance from uniform, ``(draws,)``.
+
+    ``ranks`` is ``(recordings, draws, measures)``.
+    """
+    number = np.isfinite(ranks).sum(axis=0)
+    ordered = np.sort(ranks, axis=0)  # NaN comes last
+    place = (np.arange(len(ranks))[:, None, None] + 0.5) / np.maximum(number, 1)
+    square = np.where(np.isfinite(ordered), np.square(ordered - place), 0.0).sum(axis=0)
+    return np.asarray(square.max(axis=-1))
