@@ -36,9 +36,15 @@ from animarl_envs.species import CUSTOM, SPECIES
 
 FOLDER = resources.files("zoo_configs") / "benchmark"
 REFERENCES = (
-    "recordings", "tracking", "experts", "nearest", "scripted", "constant-velocity", "still",
+    "recordings",
+    "tracking",
+    "experts",
+    "nearest",
+    "scripted",
+    "constant-velocity",
+    "still",
     "random",
-)  # fmt: skip
+)
 AROUND = ("acting", "fit_method", "thrusts")
 WORLD_ALGO = "bc"  # any: the world of those who learned nothing is that of its preset
 WORLD_COPIES = 16  # side by side, of the environment that others' methods train in
@@ -157,10 +163,16 @@ class Matrix(Checked):
         around |= {"preset": self.preset}
         around |= {k: v for k in AROUND if (v := getattr(self, k)) is not None}
         asked = RunSettings(
-            file=name, species=species, algo=algo, steps=1, seed=seed,
-            repetitions=self.repetitions, baselines=False,
-            overrides=dict(self.settings.get(algo, {})), **around,
-        )  # fmt: skip
+            file=name,
+            species=species,
+            algo=algo,
+            steps=1,
+            seed=seed,
+            repetitions=self.repetitions,
+            baselines=False,
+            overrides=dict(self.settings.get(algo, {})),
+            **around,
+        )
         learner = asked.learner()
         online = bool(named_recipe(algo).algorithm.recipe.online)
         steps = self.steps if self.steps is not None and online else learner.n_timesteps
@@ -268,9 +280,11 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
 def _cells_in(world: FittedWorld, matrix: Matrix, methods: Mapping[str, str]) -> Iterator[Cell]:
     demos = world.demos
     shared: dict[str, Any] = {
-        "data": world.data, "repetitions": matrix.repetitions, "world": world.key,
+        "data": world.data,
+        "repetitions": matrix.repetitions,
+        "world": world.key,
         "fold": world.fold,
-    }  # fmt: skip
+    }
     for algo in matrix.recipes:
         settings = [matrix.run_settings(world.data, demos, algo, seed) for seed in matrix.seeds]
         check_run(settings[0], demos)

@@ -47,8 +47,11 @@ WORD_COLOURS = {
 }
 GOLDEN_RATIO = 0.6180339887498949
 REFERENCE: dict[str, Any] = {
-    "color": style.MUTED.hex, "linewidth": 0.7, "linestyle": (0, (4, 3)), "zorder": 0.5,
-}  # fmt: skip
+    "color": style.MUTED.hex,
+    "linewidth": 0.7,
+    "linestyle": (0, (4, 3)),
+    "zorder": 0.5,
+}
 
 
 @contextmanager
@@ -74,9 +77,14 @@ def histograms(
             recorded, edges, density=True, color=style.FILL.hex, alpha=0.55, linewidth=0, label=name
         )
         panel.hist(
-            simulated, edges, density=True, histtype="step", linewidth=1.6, label="simulated",
+            simulated,
+            edges,
+            density=True,
+            histtype="step",
+            linewidth=1.6,
+            label="simulated",
             color=style.BLUE.hex,
-        )  # fmt: skip
+        )
         panel.set_xlim(edges[0], edges[-1])
         panel.legend(loc="best")
     return figure
@@ -119,9 +127,15 @@ def interval_rows(
             if np.isfinite(value.estimate):
                 face, edge = (ground, colour) if name in hollow else (colour, ground)
                 panel.plot(
-                    value.estimate, base, "o", color=face, markersize=6.2, markeredgecolor=edge,
-                    markeredgewidth=1.2, zorder=3.2,
-                )  # fmt: skip
+                    value.estimate,
+                    base,
+                    "o",
+                    color=face,
+                    markersize=6.2,
+                    markeredgecolor=edge,
+                    markeredgewidth=1.2,
+                    zorder=3.2,
+                )
         if reference is not None and np.isfinite(reference):
             panel.axvline(reference, **REFERENCE)
         if reference is not None and band:
@@ -206,9 +220,15 @@ def _draw_values(panel: Axes, sample: Floats, base: float, colour: str) -> None:
     dots = np.sort(sample)[np.linspace(0, len(sample) - 1, min(len(sample), MOST_DOTS)).astype(int)]
     offsets = (np.arange(len(dots)) * GOLDEN_RATIO) % 1.0  # the same every time
     panel.plot(
-        dots, base - 0.12 - 0.18 * offsets, ".", color=colour, markersize=2.4, alpha=0.55,
-        markeredgewidth=0, rasterized=True,
-    )  # fmt: skip
+        dots,
+        base - 0.12 - 0.18 * offsets,
+        ".",
+        color=colour,
+        markersize=2.4,
+        alpha=0.55,
+        markeredgewidth=0,
+        rasterized=True,
+    )
 
 
 @dataclass(frozen=True)
@@ -280,9 +300,12 @@ def path_panels(
         if below:
             figure.legend(
                 *(part[::-1] for part in axes[0].get_legend_handles_labels()),
-                loc="outside lower left", fontsize=7, handlelength=2.6, labelspacing=0.25,
+                loc="outside lower left",
+                fontsize=7,
+                handlelength=2.6,
+                labelspacing=0.25,
                 borderaxespad=0.2,
-            )  # fmt: skip
+            )
         if title:
             figure.suptitle(title, fontsize=8, x=0.02, ha="left")
     return figure
@@ -295,10 +318,13 @@ def draw_paths(
     from matplotlib.patches import Circle, Rectangle
 
     outline: dict[str, Any] = {
-        "fill": True, "facecolor": style.FLOOR.hex, "edgecolor": style.MUTED.hex,
+        "fill": True,
+        "facecolor": style.FLOOR.hex,
+        "edgecolor": style.MUTED.hex,
         "linewidth": 1.4 if arena.rebound else 0.8,
-        "linestyle": "-" if arena.rebound else (0, (4, 2)), "zorder": 0,
-    }  # fmt: skip
+        "linestyle": "-" if arena.rebound else (0, (4, 2)),
+        "zorder": 0,
+    }
     if arena.shape == "square":
         panel.add_patch(
             Rectangle((-arena.size, -arena.size), 2 * arena.size, 2 * arena.size, **outline)
@@ -313,13 +339,21 @@ def draw_paths(
             *path[:, k].T, color=look.colour, linestyle=look.dashes, linewidth=1.2, label=names[k]
         )
         panel.plot(
-            *path[0, k], look.marker, markersize=3.8, markerfacecolor=ground,
-            markeredgecolor=look.colour, markeredgewidth=0.9,
-        )  # fmt: skip
+            *path[0, k],
+            look.marker,
+            markersize=3.8,
+            markerfacecolor=ground,
+            markeredgecolor=look.colour,
+            markeredgewidth=0.9,
+        )
         panel.plot(
-            *path[-1, k], look.marker, markersize=4.4, color=look.colour, markeredgecolor=ground,
+            *path[-1, k],
+            look.marker,
+            markersize=4.4,
+            color=look.colour,
+            markeredgecolor=ground,
             markeredgewidth=0.5,
-        )  # fmt: skip
+        )
     panel.set_aspect("equal")
     panel.set_axis_off()
 
@@ -351,7 +385,11 @@ def _scale_bar(panel: Axes, view: View, unit: Unit) -> None:
     left, below = x - half, y - 1.06 * half
     right = left + length / unit.per_arena_unit
     panel.plot(
-        [left, right], [below, below], color=style.TEXT.hex, linewidth=1.4, clip_on=False,
+        [left, right],
+        [below, below],
+        color=style.TEXT.hex,
+        linewidth=1.4,
+        clip_on=False,
         solid_capstyle="butt",
-    )  # fmt: skip
+    )
     panel.text(right + 0.06 * half, below, label, fontsize=7, va="center")

@@ -22,8 +22,14 @@ from animarl_envs.files import write_then_rename
 
 TEMPLATES = Path(__file__).parent / "templates"
 SCRIPTS = (
-    "themes.js", "tables.js", "downloads.js", "paths.js", "stage.js", "player.js", "start.js",
-)  # fmt: skip
+    "themes.js",
+    "tables.js",
+    "downloads.js",
+    "paths.js",
+    "stage.js",
+    "player.js",
+    "start.js",
+)
 """In this order, inside one function: a later one uses what an earlier one defines."""
 POLICY = (
     "default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "

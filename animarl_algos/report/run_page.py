@@ -62,12 +62,13 @@ def run_page(inputs: ReportInputs) -> Page:
             ),
             Section("metrics", "Metrics", list(_metrics(inputs))),
             Section(
-                "provenance", "How this was made",
+                "provenance",
+                "How this was made",
                 list(provenance(inputs, "run", episodes, statistics)),
                 "Command, settings, machine, versions",
             ),
         ],
-    )  # fmt: skip
+    )
 
 
 def write_report(inputs: ReportInputs, out: str | Path) -> Path:
@@ -215,9 +216,13 @@ def _metric_images(inputs: ReportInputs, metric: Metric) -> Iterator[Image]:
                 continue
             look = {"values": values}
         figure = figures.interval_rows(
-            means, words.axis(metric), title=title.capitalize(), label=words.label,
-            reference=means[names[0]].estimate if metric.of_recordings else None, **look,
-        )  # fmt: skip
+            means,
+            words.axis(metric),
+            title=title.capitalize(),
+            label=words.label,
+            reference=means[names[0]].estimate if metric.of_recordings else None,
+            **look,
+        )
         yield to_image(figure, f"{words.axis(metric)} by method, {title}")
         if metric.share:
             return

@@ -67,10 +67,18 @@ PURSUERS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
 """One per pursuer or searcher, in order; they repeat after the last."""
 
 METHODS = {
-    "recorded": TARGET, "random": STONE, "untrained": CLAY, "dqn": ORANGE, "bc": VERMILION,
-    "soft-bc": VERMILION, "dqaas": GREEN, "dqdil": SKY, "dqdil-pt": BLUE, "dqcil": PURPLE,
+    "recorded": TARGET,
+    "random": STONE,
+    "untrained": CLAY,
+    "dqn": ORANGE,
+    "bc": VERMILION,
+    "soft-bc": VERMILION,
+    "dqaas": GREEN,
+    "dqdil": SKY,
+    "dqdil-pt": BLUE,
+    "dqcil": PURPLE,
     "dqcil-pt": PLUM,
-}  # fmt: skip
+}
 """One per recipe, so that a method looks alike in every figure."""
 
 _BY_HEX = {colour.hex: colour.name for colour in COLOURS}
@@ -110,10 +118,13 @@ RC: Any = {
     f"{axis}tick.{key}": value
     for axis in "xy"
     for key, value in {
-        "color": MUTED.hex, "labelcolor": TEXT.hex, "labelsize": 8.5, "major.width": 0.7,
+        "color": MUTED.hex,
+        "labelcolor": TEXT.hex,
+        "labelsize": 8.5,
+        "major.width": 0.7,
         "major.size": 3.0,
     }.items()
-}  # fmt: skip
+}
 
 
 def themed(drawing: str) -> str:

@@ -71,9 +71,13 @@ def check_run(settings: RunSettings, demos: Demonstrations) -> None:
     """
     species, asked = checked_species(settings, demos), settings.learner()
     env = SlotVecEnv(
-        species, settings.copies, demos=demos, focal=settings.focal, condition_flag=None,
+        species,
+        settings.copies,
+        demos=demos,
+        focal=settings.focal,
+        condition_flag=None,
         **asked.env_kwargs,
-    )  # fmt: skip
+    )
     env.offline_data().check_memory()
     if settings.acting != CHOSEN:
         Acting.parse(settings.acting).checked(len(env.individuals), env.world.num_actions)

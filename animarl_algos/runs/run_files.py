@@ -18,9 +18,17 @@ from animarl_envs.files import write_then_rename
 OWN, GIVEN = ".pt", ".safetensors"
 """Weights: torch's own within a run, safetensors, which hold no code, to give away."""
 PACKAGES = (
-    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
-    "scipy", "stable-baselines3", "torch",
-)  # fmt: skip
+    "animarl",
+    "gymnasium",
+    "numba",
+    "numpy",
+    "pettingzoo",
+    "sb3-contrib",
+    "scikit-learn",
+    "scipy",
+    "stable-baselines3",
+    "torch",
+)
 
 
 def write_json(file: Path, content: Any) -> None:
@@ -94,8 +102,16 @@ def commit(root: Path) -> str:
     """Return the commit that the code in ``root`` stands at, and whether it was changed since."""
     if not (root / ".git").exists():
         return "none (an installed package, no checkout)"
-    asked = ["git", "-C", str(root), "describe", "--always", "--exclude=*", "--abbrev=40",
-             "--dirty= with changes"]  # fmt: skip
+    asked = [
+        "git",
+        "-C",
+        str(root),
+        "describe",
+        "--always",
+        "--exclude=*",
+        "--abbrev=40",
+        "--dirty= with changes",
+    ]
     try:
         return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):

@@ -134,8 +134,10 @@ def _experiment(run: Run) -> Facts:
     yield "individuals", ", ".join(demos.individuals), "compare runs of the same animals"
     plain = replace(demos, split=np.full(demos.num_episodes, SPLITS[0]))
     yield (
-        "recordings", f"{demos.num_episodes} episodes, fingerprint {plain.fingerprint()}", same_file
-    )  # fmt: skip
+        "recordings",
+        f"{demos.num_episodes} episodes, fingerprint {plain.fingerprint()}",
+        same_file,
+    )
     counts = ", ".join(f"{split} {int((demos.split == split).sum())}" for split in SPLITS)
     yield "split", f"{counts} (fingerprint {demos.fingerprint()})", same_file
     named = {f.name for f in fields(run.species)} - set(METHOD_FIELDS)
@@ -243,6 +245,8 @@ def joined_tracking(folds: Sequence[Run]) -> Tracking:
         frames = np.repeat(own.split == "test", own.lengths)
         found = track(own.select(split="test"), species.locomotion, species.arena)
         paths[frames], speeds[frames], actions[frames] = (
-            found.positions, found.velocities, found.actions
-        )  # fmt: skip
+            found.positions,
+            found.velocities,
+            found.actions,
+        )
     return Tracking(paths, speeds, actions)

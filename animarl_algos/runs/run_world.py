@@ -20,9 +20,16 @@ from animarl_envs.worlds import observation_components
 
 SENSES = ("observation_noise", "observation_delay")
 CHANGES_INPUTS = (
-    "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
-    "neighbours", "free", "focus",
-)  # fmt: skip
+    "num_pursuers",
+    "num_targets",
+    "lone_pursuer",
+    "individuals",
+    "observation",
+    "senses_heading",
+    "neighbours",
+    "free",
+    "focus",
+)
 """Options that say who is there and what is shown of them; others may change it, too."""
 
 

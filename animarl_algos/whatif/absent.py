@@ -185,9 +185,18 @@ class FewerWorld(ChaseWorld):
         past[:, self._own] = self._past
         towards = np.zeros_like(position)
         observe_all(
-            position, velocity, acceleration, past, self.step_count, towards, self._all_bodies,
-            self._all_neighbours, self._all_senses, *self._branches, self._shown,
-        )  # fmt: skip
+            position,
+            velocity,
+            acceleration,
+            past,
+            self.step_count,
+            towards,
+            self._all_bodies,
+            self._all_neighbours,
+            self._all_senses,
+            *self._branches,
+            self._shown,
+        )
         self.observation = np.ascontiguousarray(self._shown[self._own].transpose(2, 0, 1))
 
     def _place_of_absent(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

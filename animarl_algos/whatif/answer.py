@@ -429,19 +429,31 @@ class _Comparison:
             counted = np.where(counts, after - before, np.nan).reshape(len(self.runs), -1)
             seeds = np.nanmean(counted, axis=1)
             yield {
-                "scenario": scenario.name, "quantity": quantity.name, "unit": quantity.unit,
-                "recorded": real, "baseline": baseline, "changed": baseline + shift.estimate,
-                "shift": shift.estimate, "low": shift.low, "high": shift.high,
-                "gap": gap, "covers": covers, "other_reading": further,
-                "seeds_low": seeds.min(), "seeds_high": seeds.max(),
+                "scenario": scenario.name,
+                "quantity": quantity.name,
+                "unit": quantity.unit,
+                "recorded": real,
+                "baseline": baseline,
+                "changed": baseline + shift.estimate,
+                "shift": shift.estimate,
+                "low": shift.low,
+                "high": shift.high,
+                "gap": gap,
+                "covers": covers,
+                "other_reading": further,
+                "seeds_low": seeds.min(),
+                "seeds_high": seeds.max(),
             } | (
                 {}
                 if true is None
                 else self._compare_with_truth(
-                    true, (quantity.values(true[0]), measure(true[1])), changed, after - before,
+                    true,
+                    (quantity.values(true[0]), measure(true[1])),
+                    changed,
+                    after - before,
                     counts,
                 )
-            )  # fmt: skip
+            )
 
     def _compare_with_truth(
         self,

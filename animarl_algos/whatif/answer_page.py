@@ -321,13 +321,15 @@ def _dose_images(table: pd.DataFrame, name: str, doses: list[float]) -> Iterator
         texts = {"title": str(quantity), "xlabel": name, "ylabel": rows["unit"].iloc[0]}
         with figures.one_panel(2.8, 2.1, "", **texts) as (figure, panel):
             panel.plot(rows["dose"], rows["changed"], color=style.LINE.hex, zorder=1)
-            panel.axhline(rows["recorded"].iloc[0], color=style.TARGET.hex, linewidth=0.9,
-                          linestyle="--")  # fmt: skip
+            panel.axhline(
+                rows["recorded"].iloc[0], color=style.TARGET.hex, linewidth=0.9, linestyle="--"
+            )
             ends = rows["baseline"] + rows["low"], rows["baseline"] + rows["high"]
             panel.vlines(rows["dose"], *ends, color=style.BLUE.hex, linewidth=1.4)
             face = np.where(rows["warning"] == Caution.NONE, style.BLUE.hex, style.PAGE.hex)
-            panel.scatter(rows["dose"], rows["changed"], 25, c=face, edgecolors=style.BLUE.hex,
-                          zorder=3)  # fmt: skip
+            panel.scatter(
+                rows["dose"], rows["changed"], 25, c=face, edgecolors=style.BLUE.hex, zorder=3
+            )
         yield to_image(figure, f"Dose and response: {quantity} by {name}")
 
 

@@ -10,7 +10,7 @@ import gzip
 import html
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -30,7 +30,7 @@ from animarl_algos.whatif.answer import TrainedRun, quantities_of
 from animarl_algos.whatif.extrapolation import InputRange
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
-from animarl_envs.errors import InputError, require
+from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import COURSE, is_free
@@ -49,9 +49,19 @@ MOST_BYTES = 5_000_000
 MOST_STARTS = 60
 PARTS = ("page.html", "page.css", "engine.js", "page.js")
 SPECIES_FIELDS = (
-    "name", "title", "world", "individuals", "roles", "bodies", "dt", "time_limit", "warmup",
-    "contact_radius", "conditions", "condition_is_sensed",
-)  # fmt: skip
+    "name",
+    "title",
+    "world",
+    "individuals",
+    "roles",
+    "bodies",
+    "dt",
+    "time_limit",
+    "warmup",
+    "contact_radius",
+    "conditions",
+    "condition_is_sensed",
+)
 NETWORK_FIELDS = ("sensed", "units", "depth", "recurrent", "skip", "previous_action")
 CHASE_SENSES = ("first", "stride", "damping", "push", "own_velocity")
 PLUME_FIELDS = ("rows", "columns", "source_row", "source_column")
@@ -93,7 +103,8 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
     """
     scenario = run.scenario
     species, arena = scenario.species, scenario.species.arena
-    _refuse(scenario)
+    for sentence in _unsupported(scenario):
+        raise InputError(sentence)
     test = run.demos.select(split="test")
     test = test.select(episodes=np.arange(min(len(test), MOST_STARTS)))
     unit = unit_of(run.demos)
@@ -136,33 +147,38 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
     return model | {"senses": {"columns": columns} | plain, "plume": _plume(species)}
 
 
-def _refuse(scenario: Scenario) -> None:
-    """Refuse what the browser's simulator does not have."""
-    species = scenario.species
-    searcher = species if isinstance(species, SearchSpecies) else None
-    many = len(species.individuals)
-    instead = "use 'animarl whatif'"
-    refused = {
-        f"{many} individuals are more than the {MOST_INDIVIDUALS} that a page can simulate: "
-        f"{instead}":
-            many > MOST_INDIVIDUALS,
-        "only some individuals of this run learned and the others follow their recordings, which "
-        f"a page does not carry: train all of them, or {instead}":
-            any(driver != "action" for driver in scenario.drivers),
-        f"the senses of this run are noisy or late, which a page does not simulate: {instead}":
-            bool(scenario.observation_noise or scenario.observation_delay),
-        "the individuals of this run have headings of their own, which a page does not simulate: "
-        "train with --set 'env_kwargs={senses_heading: false, turning: null}', or "
-        f"{instead}":
-            isinstance(species, ChaseSpecies) and species.has_headings,
-        "the searchers of this run differ by traits or observe their past, which a page does not "
-        f"simulate: {instead}":
-            searcher is not None and (searcher.traits is not None or searcher.senses_past),
-        f"this run searches a plume of the user's own, which a page does not carry: {instead}":
-            searcher is not None and not isinstance(as_plume(searcher.plume), ModelPlume),
-    }  # fmt: skip
-    for sentence, holds in refused.items():
-        require(not holds, sentence)
+def _unsupported(scenario: Scenario) -> Iterator[str]:
+    """Yield what the browser's simulator does not have, in sentences."""
+    species, instead = scenario.species, "use 'animarl whatif'"
+    if len(species.individuals) > MOST_INDIVIDUALS:
+        yield (
+            f"{len(species.individuals)} individuals are more than the {MOST_INDIVIDUALS} that a "
+            f"page can simulate: {instead}"
+        )
+    if any(driver != "action" for driver in scenario.drivers):
+        yield (
+            "only some individuals of this run learned and the others follow their recordings, "
+            f"which a page does not carry: train all of them, or {instead}"
+        )
+    if scenario.observation_noise or scenario.observation_delay:
+        yield f"the senses of this run are noisy or late, which a page does not simulate: {instead}"
+    if isinstance(species, ChaseSpecies) and species.has_headings:
+        yield (
+            "the individuals of this run have headings of their own, which a page does not "
+            "simulate: train with --set 'env_kwargs={senses_heading: false, turning: null}', or "
+            f"{instead}"
+        )
+    if isinstance(species, SearchSpecies):
+        if species.traits is not None or species.senses_past:
+            yield (
+                "the searchers of this run differ by traits or observe their past, which a page "
+                f"does not simulate: {instead}"
+            )
+        if not isinstance(as_plume(species.plume), ModelPlume):
+            yield (
+                "this run searches a plume of the user's own, which a page does not carry: "
+                f"{instead}"
+            )
 
 
 def _packed(array: NDArray[Any]) -> dict[str, Any]:
