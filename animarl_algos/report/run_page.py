@@ -57,7 +57,8 @@ def run_page(inputs: ReportInputs) -> Page:
             Section("verdict", "Verdict", list(verdict_blocks(found, inputs.words))),
             Section("trajectories", "Trajectories", list(_trajectories(inputs))),
             Section(
-                "distributions", "Speeds and distances",
+                "distributions",
+                "Speeds and distances",
                 [*_distributions(inputs), *_places(inputs)],
             ),
             Section("metrics", "Metrics", list(_metrics(inputs))),
