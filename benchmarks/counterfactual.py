@@ -51,7 +51,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.drawing import markdown_table
 from animarl_envs.files import all_files_or_none
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
-from animarl_envs.importing.readers import read
+from animarl_envs.importing.readers import load_readers, read
 from animarl_envs.scenario import PACKAGED
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -66,6 +66,7 @@ PROBE_STEPS = (4000, 12_000)  # both beyond the first updates; what differs is l
 
 def recorded(tiny: bool = False) -> Demonstrations:
     """Both conditions of the recorded agents, with the splits of their reader."""
+    load_readers(Path(__file__).with_name("paper_readers.py"))
     both = join([read(FOLDER / name, "agents") for name in FILES], "recorded agents")
     if not tiny:
         return both

@@ -211,7 +211,8 @@ class DataSet:
                 told = {"pursuers": self.pursuers, "out": files[0], "folder": folder / self.name}
                 asked = [f"--{key}={value}" for key, value in told.items()]
                 subprocess.run([*program, *asked], check=True, cwd=Path(__file__).parents[1])
-            command = ["import", *map(str, files), *options, "--out", str(out)]
+            readers = ["--readers", str(Path(__file__).with_name("paper_readers.py"))]
+            command = ["import", *map(str, files), *readers, *options, "--out", str(out)]
             subprocess.run([*ANIMARL, *command], check=True, stdout=subprocess.DEVNULL)
         return Demonstrations.load(out)
 

@@ -24,7 +24,7 @@ from rich.table import Table
 from animarl_envs.demos.packaged import packaged_names
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.fitting.result import fit_locomotion
-from animarl_envs.importing.readers import read
+from animarl_envs.importing.readers import load_readers, read
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import get_species
 from animarl_envs.species.options import with_options
@@ -116,6 +116,7 @@ REWARDS: dict[str, MakeTracker] = {
 def scenarios(file: Path | None, species: list[str], episodes: int) -> dict[str, Scenario]:
     """By heading; chases in dishes and boxes with walls, the others as they are."""
     if file is not None:
+        load_readers(Path(__file__).with_name("paper_readers.py"))
         demos = read(file, None)
         spec = with_options(
             get_species(species[0]), individuals=demos.individuals, dt=demos.dt, arena=demos.arena,

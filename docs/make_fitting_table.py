@@ -20,9 +20,17 @@ from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers import default_recipe, follow, get_reader, read, read_tracks
+from animarl_envs.importing.readers import (
+    default_recipe,
+    follow,
+    get_reader,
+    load_readers,
+    read,
+    read_tracks,
+)
 from animarl_envs.importing.tracks import merge
 
+load_readers(Path(__file__).parents[1] / "benchmarks" / "paper_readers.py")
 DISH = 145.0  # diameter of the termites' dish [mm]
 PAIR_RATE = 30.0  # of the fly pair: assumed, its source gives none [Hz]
 

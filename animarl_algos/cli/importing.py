@@ -27,16 +27,35 @@ from animarl_envs.errors import InputError, require
 from animarl_envs.importing.cleaning import Cleaning, Scaling
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers import Reader, default_recipe, find_reader, follow, read
+from animarl_envs.importing.readers import (
+    Reader,
+    default_recipe,
+    files_in,
+    find_reader,
+    follow,
+    load_readers,
+    read,
+)
 from animarl_envs.importing.sessions import AUTO
 
 NOBODY = "none"  # is the target
-OF_FINISHED = {"files", "source", "out", "dry_run", "condition", "option"}  # what they go with
+OF_FINISHED = {
+    "files",
+    "readers",
+    "source",
+    "out",
+    "dry_run",
+    "condition",
+    "option",
+}  # what they go with
 FILES: list[inspect.Parameter] = [
     CONTEXT,
-    option("files", list[Path], ..., typer.Argument(help="One file or more of the same kind.")),
+    option("files", list[Path], ..., typer.Argument(help="Files of one kind, or their folder.")),
     option("source", str | None, None, typer.Option(
         help="Reader; see 'animarl data sources'. Default: by a look.",
+    )),
+    option("readers", Path | None, None, typer.Option(
+        help="A .py file of readers of your own; it is run.",
     )),
     option("out", Path | None, None, typer.Option(help="Demonstrations to write (.npz).")),
     option("recipe", Path | None, None, typer.Option(help="Repeat this saved recipe (.yaml).")),
@@ -83,6 +102,9 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
     """
     out, dry_run = given["out"], given["dry_run"]
     require(out is None or out.suffix == ".npz", f"{out}: demonstrations end in .npz: rename it")
+    if given["readers"] is not None:
+        load_readers(given["readers"])
+    files = files_in(files)
     reader = find_reader(files[0], given["source"])
     require(out or dry_run, "nothing would be written: name --out, or ask for a --dry-run")
     if reader.finished:

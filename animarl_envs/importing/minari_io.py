@@ -22,6 +22,7 @@ from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.files import refuse_special
+from animarl_envs.importing.hdf import open_hdf, read_dataset
 from animarl_envs.locomotion import NUM_ACTIONS
 
 DATASET = "demonstrations-v0"
@@ -125,8 +126,6 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
 
     Its own reader follows what the file says (formats, spaces, the environment it was made with).
     """
-    from animarl_envs.importing.readers.arrays import open_hdf, read_dataset
-
     names = [str(name) for name in meta["demonstrations"]["individuals"]]
     states, actions = [], []
     infos: list[dict[str, NDArray[Any]]] = []

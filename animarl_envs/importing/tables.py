@@ -98,6 +98,13 @@ class Table(Layout):
                     return f"line {line}"
         raise AssertionError
 
+    def first_lines(self, count: int) -> list[list[str]]:
+        """Return the cells of the first lines of the file, whatever stands in them."""
+        separator = "\t" if self.separator == BLANK else self.separator
+        with contextlib.closing(replace(self, first=0)._rows()) as file:
+            lines = [file.readline(LONGEST_LINE).decode(UTF_8) for _ in range(count)]
+        return [split_cells(line.strip("\r\n"), separator) for line in lines]
+
     def check_names(self) -> None:
         """Refuse a first line that is no header, or one of absurdly many columns."""
         if len(self.names) > MOST_COLUMNS:

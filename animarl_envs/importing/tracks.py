@@ -286,6 +286,8 @@ def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
 
     ``pair1_maleDLC_resnet50`` and ``pair1_femaleDLC_resnet50`` are ``male`` and ``female``.
     """
+    if len({part.recording for part in parts}) == 1 < len(parts):  # their reader joins them
+        return [*parts]
     stems = [part.recording.partition("DLC_")[0].removesuffix("DLC") for part in parts]
     require(
         len(parts) == len(set(stems)) > 1 and all(len(part.individuals) == 1 for part in parts),
@@ -337,6 +339,20 @@ def disambiguate_by_folder(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[P
             folder = file.parent.resolve().relative_to(above[name]).as_posix()
             name = name if folder == "." else f"{folder}/{name}"
         found.append((file, replace(tracks, recording=name)))
+    return found
+
+
+def separate_arenas(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tracks]]:
+    """Name recordings by their arena too where files of one recording have several arenas."""
+    arenas: dict[str, set[str]] = {}
+    for _, tracks in parts:
+        arenas.setdefault(tracks.recording, set()).add(tracks.provenance.get("arena", ""))
+    found = []
+    for file, tracks in parts:
+        if len(arenas[tracks.recording]) > 1:
+            arena = tracks.provenance.get("arena") or "no arena"
+            tracks = replace(tracks, recording=f"{tracks.recording}/{arena}")
+        found.append((file, tracks))
     return found
 
 

@@ -52,6 +52,7 @@ def read_values(kind: Kind, path: Path) -> Values:
     return found
 
 
+FRAME_COLUMNS = {"long-table": 0, "deeplabcut": 0, "trex": 0, "sleap": 1}  # others: row by row
 ETHOVISION = "Number of header lines:"  # the first cell of its header, before a number
 
 
@@ -75,10 +76,16 @@ def assert_true_to_the_file(
     assert guard != "checksum", "other numbers than those that the checksums are of"
     if guard == "text":
         rows = second_reading(path)
-        long = {(row[0], *pair) for row in rows for pair in pairwise(row[1:])}
+        frame = FRAME_COLUMNS.get(kind.source)
+        named = {
+            (row[frame], *pair)
+            for row in rows
+            if frame is not None and len(row) > frame
+            for pair in pairwise(row[frame + 1 :])
+        }
         for (_, name), positions in found.items():
             for t, _, (x, y) in entries(positions):
-                there = (t, x, y) in long if kind.source == "long-table" else x_y_in(rows[t], x, y)
+                there = (t, x, y) in named if named else x_y_in(rows[t], x, y)
                 assert there, f"{name}, frame {t}: {x!r}, {y!r} is not in the file"
         return
     assert damage.overwritten > 0, "a piece that was lost or repeated has shifted the numbers"

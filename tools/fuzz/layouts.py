@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+import benchmarks.paper_readers  # noqa: F401  (four of the layouts are of its readers)
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 
@@ -336,6 +337,90 @@ def write_ethovision(folder: Path) -> Path:
     return folder / "raw_data.txt"
 
 
+def write_trex_csv(folder: Path) -> Path:
+    rows = [f"{t},{x!r},{y!r},0,{t / 25}" for t, (x, y) in enumerate(BODIES[:, 0].tolist())]
+    head = "frame,X#wcentroid (cm),Y#wcentroid (cm),missing,time"
+    (folder / "video_fish0.csv").write_text("\n".join([head, *rows]) + "\n")
+    return folder / "video_fish0.csv"
+
+
+def write_sleap_csv(folder: Path) -> Path:
+    head = ",".join(f"{node}.{part}" for node in NODES for part in ("score", "x", "y"))
+    rows = [f"track,frame_idx,instance.score,{head}"]
+    for t, pose in enumerate(POSE.tolist()):
+        for name, nodes in zip(NAMES, pose, strict=True):
+            cells = ",".join(f"0.9,{x!r},{y!r}" for x, y in nodes)
+            rows.append(f"{name},{t},0.9,{cells}")
+    (folder / "clip.csv").write_text("\n".join(rows) + "\n")
+    return folder / "clip.csv"
+
+
+def write_trx(folder: Path) -> Path:
+    """The second fly appears one frame later than the first."""
+    from scipy.io import savemat
+
+    trx = np.zeros((1, 2), [(name, "O") for name in ("x", "y", "theta", "firstframe", "fps")])
+    for i in range(2):
+        x, y = BODIES[i:, i].T[:, None]
+        trx[0, i] = x, y, np.zeros_like(x), [[i + 1.0]], [[25.0]]
+    savemat(folder / "trx.mat", {"trx": trx})
+    return folder / "trx.mat"
+
+
+def write_flytracker(folder: Path) -> Path:
+    from scipy.io import savemat
+
+    names = np.array(["pos x", "pos y", "ori"], dtype=object)[None]
+    data = np.concatenate([BODIES, np.zeros((len(BODIES), 2, 1))], axis=2).transpose(1, 0, 2)
+    chambers = np.empty((1, 2), dtype=object)
+    chambers[0] = [np.array([[1.0]]), np.array([[2.0]])]
+    trk = {"names": names, "data": data, "flies_in_chamber": chambers}
+    savemat(folder / "clip-track.mat", {"trk": trk})
+    return folder / "clip-track.mat"
+
+
+def write_netcdf(folder: Path) -> Path:
+    """As xarray writes a dataset of movement."""
+    import h5py
+
+    with h5py.File(folder / "clip.nc", "w") as file:
+        scales = {"time": np.arange(len(POSE)) / 25, "space": [b"x", b"y"]}
+        scales |= {axis: [name.encode() for name in names]
+                   for axis, names in (("keypoints", NODES), ("individuals", NAMES))}  # fmt: skip
+        for axis, values in scales.items():
+            file[axis] = values
+            file[axis].make_scale(axis)
+        values = {"position": POSE.transpose(0, 3, 2, 1), "confidence": np.full((40, 2, 2), 0.9)}
+        for name, array in values.items():
+            file[name] = array
+            axes = [axis for axis in scales if axis != "space" or name == "position"]
+            for place, axis in enumerate(axes):
+                file[name].dims[place].attach_scale(file[axis])
+        file.attrs["time_unit"] = "seconds"
+    return folder / "clip.nc"
+
+
+def write_nwb(folder: Path) -> Path:
+    """As pynwb writes poses: a container for each animal, soft links to its skeleton."""
+    import h5py
+
+    with h5py.File(folder / "clip.nwb", "w") as file:
+        behavior = file.create_group("processing/behavior")
+        behavior.create_group("Skeletons/mouse")
+        for i, name in enumerate(NAMES):
+            container = behavior.create_group(f"track={name}")
+            container.attrs["neurodata_type"] = "PoseEstimation"
+            container["skeleton"] = h5py.SoftLink("/processing/behavior/Skeletons/mouse")
+            for k, node in enumerate(NODES):
+                series = container.create_group(node)
+                series.attrs["neurodata_type"] = "PoseEstimationSeries"
+                series["data"], series["confidence"] = POSE[:, i, k], np.full(len(POSE), 0.9)
+                series["data"].attrs["unit"] = "pixels"
+                series["starting_time"] = 2.0
+                series["starting_time"].attrs["rate"] = 25.0
+    return folder / "clip.nwb"
+
+
 @dataclass(frozen=True)
 class Kind:
     """One layout.
@@ -369,12 +454,18 @@ KINDS: dict[str, Kind] = {
     "analysis": Kind(write_analysis, "sleap", "poses", "structure"),
     "dlc_csv": Kind(write_dlc_csv, "deeplabcut", "poses", "text"),
     "dlc_h5": Kind(write_dlc_h5, "deeplabcut", "poses", "structure"),
+    "sleap_csv": Kind(write_sleap_csv, "sleap", "else", "text"),
+    "netcdf": Kind(write_netcdf, "netcdf", "poses", "structure"),
+    "nwb": Kind(write_nwb, "nwb", "else", "structure"),
+    "ctrax": Kind(write_trx, "ctrax", "else", "structure"),
+    "flytracker": Kind(write_flytracker, "flytracker", "else", "structure"),
     "movement": Kind(write_dlc_csv, "movement", "poses", "text"),
     "native": Kind(write_native, "animarl", "else", "checksum"),
     "minari": Kind(write_minari, "minari", "else", "structure", ("metadata.json",)),
     "agents": Kind(write_agents, "agents", "else", "checksum"),
     "ethovision": Kind(write_ethovision, "ethovision", "else", "text"),
     "trex": Kind(write_trex, "trex", "else", "checksum"),
+    "trex_csv": Kind(write_trex_csv, "trex", "else", "text"),
     "mothvr": Kind(write_mothvr, "mothvr", "else", "text"),
     "termites": Kind(write_termites, "termites", "else", "checksum", ("index.csv",)),
     "fly_groups": Kind(write_fly_groups, "fly-groups", "else", "checksum"),

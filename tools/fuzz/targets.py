@@ -13,7 +13,7 @@ import yaml
 
 from animarl_envs import wall
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers.arrays import load_plain
+from animarl_envs.importing.plain_pickle import load_plain
 from tools.fuzz.judging import Values, assert_true_to_the_file, read_values
 from tools.fuzz.layouts import KINDS, write_dlc_h5
 from tools.fuzz.mutations import Damage, damaged

@@ -7,6 +7,7 @@ of trackers are read into :class:`~animarl_envs.importing.tracks.Tracks` and pas
 
 import contextlib
 import inspect
+import runpy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -21,6 +22,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError, MissingExtraError, printable, require
 from animarl_envs.files import read_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
+from animarl_envs.importing.hdf import is_hdf, open_hdf
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.tables import EXTENSIONS, Progress, forget_tables
 from animarl_envs.importing.tracks import (
@@ -28,6 +30,7 @@ from animarl_envs.importing.tracks import (
     disambiguate_by_folder,
     merge,
     one_per_individual,
+    separate_arenas,
 )
 
 Floats = NDArray[np.float64]
@@ -94,6 +97,11 @@ class Reader:
 _READERS: dict[str, Reader] = {}
 
 
+def _source_of(function: Read) -> str:
+    """Return the file in which a function is written."""
+    return inspect.getsourcefile(function) or ""
+
+
 def register_track_reader(name: str, description: str, **more: Any) -> Callable[[Read], Read]:
     """Decorator: make a function ``read(path, **options) -> list[Tracks]`` known by ``name``.
 
@@ -103,7 +111,7 @@ def register_track_reader(name: str, description: str, **more: Any) -> Callable[
     """
 
     def register(function: Read) -> Read:
-        if name in _READERS:
+        if name in _READERS and _source_of(_READERS[name].function) != _source_of(function):
             raise ValueError(f"reader {name!r} is registered twice")
         _READERS[name] = Reader(name, description, function=function, **more)
         return function
@@ -124,6 +132,17 @@ def get_reader(name: str) -> Reader:
     return _READERS[name]
 
 
+def load_readers(path: Path) -> None:
+    """Run a Python file of your own, which registers readers by :func:`register_track_reader`."""
+    refuse_special(path)
+    try:
+        runpy.run_path(str(path.resolve()))
+    except Exception as error:
+        raise InputError(
+            f"{path}: it cannot be run ({type(error).__name__}: {error}): correct it"
+        ) from error
+
+
 def find_reader(path: str | Path, source: str | None = None) -> Reader:
     """The reader named ``source``, or the one that recognises the file."""
     path = Path(path)
@@ -142,13 +161,30 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
     return get_reader(_call_behind_wall(_find_own_reader, path))
 
 
+def files_in(paths: Sequence[Path]) -> list[Path]:
+    """Return files, and of each folder all files whose endings are those of a reader.
+
+    A folder that is a Minari dataset stays as it is.
+    """
+    endings = tuple(ending for one in available_readers() for ending in one.extensions if ending)
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir() or get_reader("minari").sniff(path):
+            found.append(path)
+            continue
+        files = sorted(one for one in path.iterdir() if not one.name.startswith("."))
+        own = [one for one in files if one.name.lower().endswith(endings) and not one.is_dir()]
+        require(own, f"{path}: no file in the folder has the ending of a reader: name the files")
+        found += own
+    return found
+
+
 def _find_own_reader(path: Path) -> str:
     """Return the name of this project's reader that recognises the file."""
     own = [reader for reader in available_readers() if reader.is_own]
     for reader in sorted(own, key=lambda reader: reader.generic):
         if path.name.lower().endswith(tuple(reader.extensions)) and reader.sniff(path):
             return reader.name
-    from animarl_envs.importing.readers.arrays import is_hdf, open_hdf
     from animarl_envs.importing.readers.table_files import suggested_command
 
     refuse_special(path)
@@ -284,7 +320,7 @@ def follow(
     if recipe.merge_individuals:
         parts_of_one = one_per_individual([tracks for _, tracks in parts])
         return demonstrations_from_tracks(merge(parts_of_one), recipe, name)
-    parts = disambiguate_by_folder(parts)
+    parts = disambiguate_by_folder(separate_arenas(parts))
     try:
         return demonstrations_from_tracks(merge([tracks for _, tracks in parts]), recipe, name)
     except InputError as error:  # put the file before a sentence about a recording

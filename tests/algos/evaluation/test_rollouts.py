@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from recordings import episodes_along
 from refusals import refuses
 
+import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_algos.evaluation import collect
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.prepared import path_lengths

@@ -12,6 +12,7 @@ from pettingzoo.test import parallel_api_test
 from recordings import CHASER, PREY, dogs, search
 
 import animarl_envs
+import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_algos.cli.describing import found_by_itself
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from refusals import refuses
 from thrust_walks import DT, ROLES, TRUTH, walk
 
+import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_algos.cli.fit import parse_numbers
 from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena

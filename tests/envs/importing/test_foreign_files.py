@@ -26,8 +26,8 @@ from animarl_algos.learner.presets import read_file
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.files import parse_yaml, read_npz, read_yaml
 from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.importing.plain_pickle import load_plain
 from animarl_envs.importing.readers import available_readers, read, read_tracks
-from animarl_envs.importing.readers.arrays import load_plain
 from tools.fuzz.layouts import (
     write_analysis,
     write_authors_newt,
@@ -314,7 +314,7 @@ POINTING: dict[str, tuple[Callable[[Any, Path], None], str]] = {
     "soft link": (soft_link, "link to elsewhere"),
     "external storage": (external_storage, "stored in another file"),
     "virtual": (virtual, "virtual dataset"),
-    "wrong_number": (strange_float, "floats that are not IEEE"),
+    "wrong_number": (strange_float, "numbers laid out unusually"),
     "filter": (strange_filter, "unusual filter"),
 }
 

@@ -37,6 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         kind.write(own)
         shutil.copytree(own, tmp_path / "here", dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path / "here")
+    (tmp_path / "here" / "benchmarks").symlink_to(DOCS.parent / "benchmarks")
     return tmp_path / "here"
 
 
@@ -67,6 +68,7 @@ def test_import_of_the_worked_examples(
     assert len(re.findall(r"^## ", (PAGES / WITH_DATA).read_text(), flags=re.MULTILINE)) == 5
     for words in console_lines(WITH_DATA, number):
         given = [word.replace("$DATA", str(data_dir)) for word in words]
+        given = [word.replace("benchmarks/", f"{DOCS.parent}/benchmarks/") for word in given]
         files = {w: sorted(map(str, Path(w).parent.glob(Path(w).name))) for w in given if "*" in w}
         assert animarl(*(name for word in given for name in files.get(word, [word]))).strip()
     assert len(list(tmp_path.glob("*.png"))) == len(list(tmp_path.glob("*.recipe.yaml"))) == 1

@@ -16,8 +16,8 @@ import pytest
 from refusals import refuses
 
 from animarl_envs.files import load_npy
+from animarl_envs.importing.plain_pickle import load_plain
 from animarl_envs.importing.readers import read
-from animarl_envs.importing.readers.arrays import load_plain
 from tools.fuzz.judging import assert_true_to_the_file, read_values
 from tools.fuzz.layouts import KINDS
 from tools.fuzz.mutations import Damage

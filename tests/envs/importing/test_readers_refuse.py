@@ -21,8 +21,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import load_npy
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.importing.plain_pickle import load_plain
 from animarl_envs.importing.readers import follow, read, read_tracks
-from animarl_envs.importing.readers.arrays import load_plain
 from tools.fuzz.layouts import KINDS, write_native, write_npy, write_termites, write_wide
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pages import python
 from recordings import dogs
 
+import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_envs.arena import SHAPE_CODES, Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.focus import focus_directions

@@ -13,6 +13,7 @@ from behaviours import FAITHFUL, UNFAITHFUL, Course, returns, shipped
 from conftest import DATA
 from numpy.typing import NDArray
 
+import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.importing.readers import read

@@ -18,7 +18,7 @@ from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers import read
+from animarl_envs.importing.readers import load_readers, read
 from animarl_envs.species import AGENT
 from tools.packaged_data.trained_chase.chases import Chases, chase
 from tools.packaged_data.trained_chase.training import (
@@ -156,6 +156,7 @@ def difference_interval(first: Floats, second: Floats, rng: np.random.Generator)
 def statistics_table(demos: Demonstrations, local: Path | None) -> list[str]:
     """Markdown: statistic, published, local recordings, generated; individual / shared each."""
     generated = [measure(demos.select(condition=c)) for c in (0, 1)]
+    load_readers(Path(__file__).parents[3] / "benchmarks" / "paper_readers.py")
     recorded = None if local is None else [read(local / file, "agents") for file in LOCAL_FILES]
     lines = [
         "| statistic (individual / shared reward) | published | local recordings | generated |",

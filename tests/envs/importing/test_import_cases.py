@@ -1,0 +1,109 @@
+"""Small files that were once read wrongly or refused without need: what each is read as today.
+
+A row of ``CASES`` is the command ``animarl import FILE ... OPTIONS`` and what comes of it; or, in
+``REFUSED``, the words of the sentence by which it ends.
+"""
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from animarl_algos.cli.main import app
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers import read
+
+FILES = Path(__file__).parents[4] / "shared" / "cases" / "import"
+pytestmark = [
+    pytest.mark.realdata,
+    pytest.mark.skipif(not FILES.is_dir(), reason=f"the small files are not found at {FILES}"),
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """What demonstrations hold; what is ``None`` is not checked.
+
+    ``extent`` is half the width of the arena in ``unit``; ``prints`` are words of the report.
+    """
+
+    individuals: str
+    rate: float
+    recordings: int = 1
+    frames: int | None = None
+    extent: float | None = None
+    unit: str | None = None
+    prints: tuple[str, ...] = ()
+
+
+CASES: dict[str, Expected] = {
+    "tracks_key.h5 --fps 30": Expected(individuals="individual_0", rate=30, frames=450),
+    "d_part.csv --fps 30": Expected(
+        individuals="individual_0", rate=30, frames=299, extent=97.64, unit="px"
+    ),
+    "d_excel_de.csv --fps 30": Expected(
+        individuals="individual_0", rate=30, frames=299, extent=97.64, unit="px"
+    ),
+    "d_corners.csv --fps 30": Expected(
+        individuals="mouse1 mouse2", rate=30, frames=299,
+        prints=("corner1 (a unique body part)", "keypoints nose, tail;"),
+    ),
+    "s_standard.h5 --fps 30": Expected(individuals="m1 m0", rate=30, frames=299, extent=211.4),
+    "s_sleap.csv --fps 30": Expected(individuals="m1 m0", rate=30, frames=299, extent=211.4),
+    "s_untracked.slp --fps 30": Expected(individuals="individual_0", rate=30, frames=299),
+    "ev_arenas.xlsx": Expected(individuals="Subject 1", rate=25, recordings=2, unit="cm"),
+    "ev_manual.xlsx": Expected(
+        individuals="Subject 1", rate=25, unit="cm", prints=("sheet Manual scoring-Arena 1",)
+    ),
+    "trexb_fish0.csv trexb_fish1.csv --merge-individuals": Expected(
+        individuals="fish0 fish1", rate=25, unit="cm", extent=8.494, prints=("source trex",)
+    ),
+    "trx.mat": Expected(individuals="1 2", rate=30, unit="mm", prints=("theta",)),
+    "ft-track.mat --fps 30": Expected(individuals="1 2", rate=30, frames=399, unit="px"),
+    "ctrax.mat": Expected(individuals="0 1", rate=30, unit="px", prints=("angle",)),
+}  # fmt: skip
+REFUSED: dict[str, tuple[str, ...]] = {
+    "ft-track.mat": ("frame rate", "--fps"),
+}
+
+
+def run_import(command: str, out: Path) -> tuple[int, str]:
+    """Return the exit code of an import and what it printed, blanks as one."""
+    words = shlex.split(command)
+    words = [str(FILES / word) if (FILES / word).is_file() else word for word in words]
+    ran = CliRunner().invoke(app, ["import", *words, "--out", str(out)])
+    if isinstance(ran.exception, InputError):  # of which main makes the sentence and exit code 2
+        return 2, str(ran.exception)
+    assert ran.exception is None, ran.exception
+    return ran.exit_code, " ".join(ran.output.split())
+
+
+@pytest.mark.parametrize("command", CASES)
+def test_small_files_are_read_as_what_they_are(command: str, tmp_path: Path) -> None:
+    expected = CASES[command]
+    code, printed = run_import(command, tmp_path / "demos.npz")
+    assert code == 0, printed
+    demos = read(tmp_path / "demos.npz")
+    assert " ".join(demos.individuals) == expected.individuals
+    assert 1 / demos.dt == pytest.approx(expected.rate, rel=1e-9)
+    scales = demos.provenance["scales"]
+    assert len(scales) == expected.recordings
+    if expected.extent is not None:
+        extents = [scale["unit"] for scale in scales.values()]
+        np.testing.assert_allclose(extents, expected.extent, rtol=1e-3)
+    assert expected.unit in (None, demos.provenance["unit"])
+    if expected.frames is not None:
+        assert f"{expected.frames} frames" in printed
+    for words in expected.prints:
+        assert words in printed
+
+
+@pytest.mark.parametrize("command", REFUSED)
+def test_small_files_are_refused_with_a_remedy(command: str, tmp_path: Path) -> None:
+    code, printed = run_import(command, tmp_path / "demos.npz")
+    assert code == 2 and not (tmp_path / "demos.npz").exists()
+    for words in REFUSED[command]:
+        assert words in printed
