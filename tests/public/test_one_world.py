@@ -1,5 +1,6 @@
 """One id is one world, whatever is made from it."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +87,13 @@ def test_one_world_of_a_task_has_the_changes_of_its_table(task: str) -> None:
             assert getattr(holder, name) == value
 
 
-@pytest.mark.parametrize("env_id", IDS)
-@pytest.mark.parametrize("name", RECIPES)
+# Every learner in one world, and the two kinds of learners in every world.
+PAIRS = dict.fromkeys(
+    [*((name, "AnimaRL/Agent-v0") for name in RECIPES), *itertools.product(("dqn", "bc"), IDS)]
+)
+
+
+@pytest.mark.parametrize(("name", "env_id"), PAIRS)
 def test_one_world_to_learn_and_to_act_in(name: str, env_id: str, tmp_path: Path) -> None:
     """A model made from an id acts in, is scored in and is loaded with ``gym.make`` of the id."""
     kind, env = RECIPES[name].algorithm, gym.make(env_id, time_limit=30)
