@@ -33,12 +33,10 @@ def walk(
     steps: int = 50,
     noise: float = 0.0,
     jumps: float = 0.0,
-    slow: tuple[Locomotion, ...] | None = None,
 ) -> tuple[Demonstrations, NDArray[np.int64]]:
     """Sticky random actions of three individuals in the open, and the actions.
 
-    ``noise`` and a share of ``jumps`` are errors of the tracking. With ``slow``, states of that
-    locomotion and of ``truth`` alternate; each ends with a chance of one in twenty a step.
+    ``noise`` and a share of ``jumps`` are errors of the tracking.
     """
     rng = np.random.default_rng(seed)
     count = truth[0].num_actions
@@ -46,25 +44,18 @@ def walk(
     velocity = np.zeros((episodes, 3, 2))
     action = rng.integers(count, size=(episodes, 3))
     path, taken = [position], []
-    slowed = np.zeros(action.shape, dtype=bool)
     for _ in range(steps):
         action = np.where(
             rng.random(action.shape) < 0.3, rng.integers(count, size=action.shape), action
         )
         focus = focus_directions(position, ROLES)
-        velocities = [
-            np.stack(
-                [
-                    apply_actions(velocity[:, i], action[:, i], focus[:, i], m, DT)
-                    for i, m in enumerate(each)
-                ],
-                axis=1,
-            )
-            for each in ((truth,) if slow is None else (truth, slow))
-        ]
-        if slow is not None:
-            slowed ^= rng.random(slowed.shape) < 0.05
-        velocity = np.where(slowed[..., None], velocities[-1], velocities[0])
+        velocity = np.stack(
+            [
+                apply_actions(velocity[:, i], action[:, i], focus[:, i], own, DT)
+                for i, own in enumerate(truth)
+            ],
+            axis=1,
+        )
         position = position + velocity * DT
         path.append(position)
         taken.append(action)

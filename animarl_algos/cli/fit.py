@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -13,22 +13,17 @@ from rich.text import Text
 from animarl_algos.checked import SEED
 from animarl_algos.cli import shared
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError, require
 from animarl_envs.fitting.custom_species import arena_of
-from animarl_envs.fitting.joint import FAST, joint_locomotion
-from animarl_envs.fitting.noise import fit_with_noise
-from animarl_envs.fitting.result import LocomotionFit, Method, doubts, fit_locomotion, fits_by_kind
-from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, StateFit, compare_states
+from animarl_envs.fitting.joint import FAST
+from animarl_envs.fitting.result import LocomotionFit, doubts, fit_locomotion, fits_by_kind
 from animarl_envs.fitting.tracking import speed_distances, track, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
 from animarl_envs.species import get_species
 
-QUICK_STEPS = 800  # of a noise estimate, per individual
-MATTERS = 0.1  # relative difference of thrusts that is worth a warning
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
-MethodChoice = Literal["joint", "onset", "noise", "both"]
+MethodChoice = Literal["joint", "onset", "both"]
 """What ``--method`` takes."""
 Columns = dict[str, tuple[str, Callable[[Any], str]]]
 THRUST_COLUMNS: Columns = {
@@ -44,28 +39,14 @@ THRUST_COLUMNS: Columns = {
     "floor": ("floor\n(AUC)", lambda floor: f"{floor:.2f}" if math.isfinite(floor) else "-"),
 }
 """Of the table of ``--thrusts``: by name in the file, the heading and how a value is shown."""
-STATE_COLUMNS: Columns = {
-    "individual": ("individual", str),
-    "states": ("states", str),
-    "thrusts": ("thrusts", str),
-    "state": ("state", str),
-    "damping": ("d", "{:.3f}".format),
-    "thrust": ("u", lambda each: " ".join(f"{one:.3g}" for one in each)),  # [arena unit / s^2]
-    "share": ("time", "{:.0%}".format),
-    "bout": ("lasts, s", lambda bout: f"{bout:.3g}" if math.isfinite(bout) else "-"),
-    "held_out": ("held-out\nnats", "{:.3f}".format),
-    "floor": ("floor", THRUST_COLUMNS["floor"][1]),
-}
-"""Of the table of ``--states``, likewise."""
 
 
 @shared.helps(
     file="Demonstrations, a file that a reader knows, or a packaged set.",
     source="Reader; by default found by content.",
     species="Use the onset threshold of this species.",
-    method="joint (default), onset (the paper's), both, or noise (for noisy tracks).",
+    method="joint (default), onset (the paper's), or both.",
     thrusts="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit).",
-    states="Compare numbers of states, such as 1,2,3 (rest and go), by held-out likelihood.",
     split="Episodes to fit: train, val, test or all.",
     bootstrap="Resamples of episodes for the intervals.",
     seed="Seed of the resampling.",
@@ -77,7 +58,6 @@ def fit_command(
     species: str | None = None,
     method: MethodChoice = "joint",
     thrusts: str | None = None,
-    states: str | None = None,
     split: str = "train",
     bootstrap: int = 1000,
     seed: int = 0,
@@ -91,10 +71,6 @@ def fit_command(
 
       animarl fit demos.npz --thrusts 1,2,3,5
 
-      animarl fit demos.npz --states 1,2,3 --thrusts 1,3
-
-      animarl fit demos.npz --method noise
-
       animarl fit episodes_share.npz --method both --split all --out fit.csv
     """
     if out is not None:
@@ -102,22 +78,16 @@ def fit_command(
         shared.refuse_overwriting(out, file)
     seed, chosen = SEED.check("seed", seed), shared.named_split(split)
     numbers = parse_numbers("--thrusts", thrusts, MOST_THRUSTS)
-    several = parse_numbers("--states", states, MOST_STATES)
-    for option in ["--thrusts"] * bool(numbers) + ["--states"] * bool(several):
-        if method != "joint":
-            raise InputError(f"{option} goes with the joint fit: leave --method {method} out")
-    if several and split != "train":
-        raise InputError("--states fits train and compares on val: leave --split out")
+    if numbers and method != "joint":
+        raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
     demos = shared.load(file, source, takes=(shared.SOURCE,))
     console = shared.PlainConsole(TABLE_WIDTH)
-    if several:
-        rows = _compare_states(demos, several, numbers or (1, 3), seed, console)
-    elif numbers:
+    if numbers:
         rows = _compare_thrusts(demos, numbers, chosen, seed, console)
     else:
         threshold = None if species is None else get_species(species).recording.onset_threshold
         fits: list[LocomotionFit] = []
-        for name in get_args(Method)[:2] if method == "both" else (method,):
+        for name in ("joint", "onset") if method == "both" else (method,):
             try:
                 fit = fit_locomotion(
                     demos,
@@ -134,7 +104,7 @@ def fit_command(
                 continue
             fits.append(fit)
             console.print(format_fit_table(fit, demos))
-            for sentence in [*doubts(fit, demos), *noise_warnings(fit, demos)]:
+            for sentence in doubts(fit, demos):
                 console.print(sentence, style="yellow")
         rows = _fit_rows(fits)
     if out is not None:
@@ -173,8 +143,6 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
             row["onsets"] = str(one.onsets)
         else:
             row["terminal\nspeed"] = f"{one.terminal_speed:.3g}"
-        if one.tracking_noise is not None:
-            row["tracking\nnoise"] = f"{one.tracking_noise:.2g}"
         rows.append(row)
     return _table(title, caption, rows)
 
@@ -213,34 +181,13 @@ def _fit_rows(fits: Iterable[LocomotionFit]) -> list[dict[str, object]]:
                 low, high = interval or (None, None)
                 row |= {name: value, f"{name}_low": low, f"{name}_high": high}
             for name in ("velocity_rmse", "top_speed", "terminal_speed", "braking_time", "steps",
-                         "onsets", "tracking_noise"):  # fmt: skip
+                         "onsets"):  # fmt: skip
                 row[name] = getattr(one, name)
             rows.append(row)
     return rows
 
 
-def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
-    """Return who is tracked so noisily that the joint fit is not to be believed.
-
-    By a quick fit that knows of noise, on some training episodes.
-    """
-    if fit.method != "joint" or demos.synthetic:
-        return []
-    seen, warned = learnable(demos), []
-    for i, one in enumerate(fits_by_kind(fit, demos)):
-        if one.top_speed == 0:  # there is no step to measure noise by
-            continue
-        noisy = fit_with_noise(seen, i, most_steps=QUICK_STEPS, intervals=False)
-        if abs(one.thrust - noisy.thrust) > MATTERS * noisy.thrust:
-            warned.append(
-                f"{one.name}: tracking noise of about {noisy.noise:.2g} arena units "
-                f"({noisy.share_of_step:.0%} of a median step), with which u is about "
-                f"{noisy.thrust:.3g} and d {noisy.damping:.2g}: see --method noise"
-            )
-    return warned
-
-
-# -- numbers of thrust magnitudes and of states ---------------------------------------------------
+# -- numbers of thrust magnitudes -----------------------------------------------------------------
 
 
 def parse_numbers(option: str, given: str | None, most: int) -> tuple[int, ...]:
@@ -301,74 +248,3 @@ def _compare_thrusts(
         best, reason = choose_thrusts(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")
     return [row | {"magnitudes": " ".join(map(str, row["magnitudes"]))} for row in rows]
-
-
-def _compare_states(
-    demos: Demonstrations,
-    states: tuple[int, ...],
-    thrusts: tuple[int, ...],
-    seed: int,
-    console: shared.PlainConsole,
-) -> list[dict[str, object]]:
-    """Fit states of locomotion and print how well each number explains what no fit has seen.
-
-    Also says what more states would be worth to a simulator.
-    """
-    from animarl_algos.evaluation import thrust_choice
-
-    seen = demos.select(split="train")
-    own = np.split(np.linalg.norm(seen.velocities(), axis=2), len(demos.kinds), axis=1)
-    moving = [i for i, speeds in enumerate(own) if speeds.any()]
-    if not moving:
-        raise InputError(f"{demos.name}: no individual ever moves in train: check the tracks")
-    found = {i: compare_states(demos, i, states, thrusts) for i in moving}
-    models = [
-        {i: fits[number] for i, (fits, _) in found.items()}
-        for number in range(len(states) * len(thrusts))
-    ]
-    floors = [thrust_choice.states_floor(seen, model, seed=seed).estimate for model in models]
-    rows: list[dict[str, Any]] = []
-    words = []
-    for i, name in enumerate(demos.kinds):
-        if i not in found:
-            words.append(f"{name}: never moves in train, so that it has no states")
-            continue
-        fits, best = found[i]
-        for fit, floor in zip(fits, floors, strict=True):
-            for s in range(len(fit.damping)):
-                row = (
-                    name, *fit.thrusts.shape, s + 1, float(fit.damping[s]), fit.thrusts[s].tolist(),
-                    float(fit.share[s]), float(fit.bout[s]), float(fit.held_out.mean()), floor,
-                )  # fmt: skip
-                rows.append(dict(zip(STATE_COLUMNS, row, strict=True)))
-            if not fit.supported:
-                words.append(
-                    f"{name}: {_model(fit)} are not supported by these recordings: one state "
-                    f"holds {fit.share.min():.1%} of time"
-                )
-        words.append(f"{name}: best explained by {_model(fits[best])}")
-    kind = "synthetic" if demos.synthetic else "recorded"
-    caption = (
-        f"Fitted on {kind} training episodes, at most {MOST_STEPS:,} steps of each individual; "
-        "nats a step of validation episodes (the higher, the better). Lengths in arena units. "
-        "Floor: how often a classifier ranks motion that follows the recordings in closed loop, in "
-        "the states they were in, above recorded motion (0.5: cannot tell them apart)."
-    )
-    console.print(_table(f"States of {demos.species}", caption, _shown(rows, STATE_COLUMNS)))
-    number = thrust_choice.choose_thrusts(demos, seed=seed)[0]
-    usual = thrust_choice.tracking_floor(seen, joint_locomotion(seen, number), seed=seed).estimate
-    lowest = int(np.nanargmin(floors)) if np.isfinite(floors).any() else 0
-    words.append(
-        f"Simulators have one state, and here {number} thrust{'s' * (number != 1)}: their floor is "
-        f"{usual:.2f}. The lowest of this table is {floors[lowest]:.2f}, of "
-        f"{_model(next(iter(models[lowest].values())))}."
-    )
-    for sentence in words:
-        console.print(sentence)
-    return [row | {"thrust": " ".join(map(str, row["thrust"]))} for row in rows]
-
-
-def _model(fit: StateFit) -> str:
-    """In words, such as "2 states with 1 thrust"."""
-    counts = zip(fit.thrusts.shape, ("state", "thrust"), strict=True)
-    return " with ".join(f"{count} {noun}{'s' * (count != 1)}" for count, noun in counts)

@@ -20,7 +20,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
-from animarl_envs.demos.summary import RESTING_SHARE, Unit, unit_of
+from animarl_envs.demos.summary import RESTING_SHARE, Unit, tracking_noise, unit_of
 from animarl_envs.dtw import dtw_alignment
 from animarl_envs.errors import require
 
@@ -223,13 +223,13 @@ def smoothed(positions: Floats, lengths: Ints, frames: int) -> Floats:
 def suggested_smoothing(recorded: Rollouts) -> int:
     """Frames of the moving average after which tracking noise no longer shows in a step.
 
-    White noise of the positions makes successive accelerations anti-correlated: their covariance
-    at lag one is -4 times its variance, to which damped motion adds little. An average over n
+    An average over n
     frames leaves sqrt(2)/n of it in a step, which may be a fifth of the median moving step; n is
     at most a quarter of a window.
     """
     widest = max(1, round(WINDOW / recorded.dt / 4))
-    noise, step = tracking_noise(recorded), recorded.speeds() * recorded.dt
+    paths = [recorded.path(index) for index in range(len(recorded))]
+    noise, step = tracking_noise(paths), recorded.speeds() * recorded.dt
     moving = step[step > 0]
     if noise == 0 or moving.size == 0:
         return 1
@@ -265,13 +265,6 @@ def resting_step(recorded: Rollouts) -> Floats:
     if recorded.is_group:  # animals of a group are alike
         fast[:] = np.quantile(speeds, 0.99)
     return np.asarray(RESTING_SHARE * fast * recorded.dt)
-
-
-def tracking_noise(recorded: Rollouts) -> float:
-    """Standard deviation of white noise of the recorded positions, per axis [arena unit]."""
-    bends = [np.diff(recorded.path(index), n=2, axis=0) for index in range(len(recorded))]
-    products = np.concatenate([(bend[1:] * bend[:-1]).ravel() for bend in bends])
-    return float(np.sqrt(max(0.0, -products.mean() / 4.0))) if len(products) else 0.0
 
 
 def slow_speeds(recorded: Rollouts) -> Floats:

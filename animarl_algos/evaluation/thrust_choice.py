@@ -6,10 +6,9 @@ magnitudes. It is no bound: tracking takes the nearest action of each step, and 
 by that where a policy that acts like the animal would not.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.classifier import PART, classify, tracked_rollouts, window_features
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, resting_step
@@ -19,9 +18,8 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import joint_locomotion
-from animarl_envs.fitting.states import StateFit, states_of
 from animarl_envs.fitting.tracking import track
-from animarl_envs.locomotion import Locomotion, fixed_multiples
+from animarl_envs.locomotion import Locomotion
 
 TRIED = (1, 2, 3, 5, 8)
 LOW = 2 / 3  # a floor that needs no further magnitude
@@ -36,18 +34,16 @@ def tracking_floor(
     locomotion: Sequence[Locomotion],
     *,
     arena: Arena | None = None,
-    bodies: NDArray[np.integer] | None = None,
     seed: int = 0,
 ) -> Interval:
     """How well closed-loop tracking of ``seen`` is told from it: 0.5 where it is not.
 
     Both sides are at the scale at which positions were stored and filtered. ``arena`` has the walls
-    that tracking meets, by default those of the world that ``seen`` makes, as in the verdict. For
-    ``bodies`` see :func:`~animarl_envs.fitting.tracking.track`.
+    that tracking meets, by default those of the world that ``seen`` makes, as in the verdict.
     """
     prepared = Prepared(seen, comparison_smoothing(seen))
     walls = arena_of(seen) if arena is None else arena
-    tracked = tracked_rollouts(seen, track(seen, locomotion, walls, bodies=bodies))
+    tracked = tracked_rollouts(seen, track(seen, locomotion, walls))
     rest = resting_step(Rollouts.from_demonstrations(seen))
     block = PART if seen.num_episodes < FEW else None
     own, other = (
@@ -57,25 +53,6 @@ def tracking_floor(
     if block is None:
         own, other = own.by_recording(seen), other.by_recording(seen)
     return classify(own, other, np.random.default_rng(seed), deals=1).auc
-
-
-def states_floor(seen: Demonstrations, fits: Mapping[int, StateFit], *, seed: int = 0) -> Interval:
-    """The same of animals with states of locomotion, where the recorded state is known.
-
-    A simulator has to guess the states, so it can come no nearer by this. ``fits`` are of each kind
-    of individual, by its number; one that is not there never moves.
-    """
-    magnitudes = next(iter(fits.values())).thrusts.shape[1]
-    locomotion: list[Locomotion] = []
-    bodies = np.zeros(seen.positions.shape[:2], dtype=np.int64)
-    for i in range(len(seen.kinds)):
-        who = slice(None) if seen.is_group else slice(i, i + 1)
-        bodies[:, who] = len(locomotion)
-        if i in fits:
-            bodies[:, who] += states_of(seen, i, fits[i])
-        still = Locomotion(1.0, 1.0, fixed_multiples(magnitudes))
-        locomotion += fits[i].bodies if i in fits else [still]
-    return tracking_floor(seen, locomotion, bodies=bodies, seed=seed)
 
 
 def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:

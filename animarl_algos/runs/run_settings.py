@@ -31,9 +31,9 @@ CHOSEN, AUTO = "chosen", "auto"
 class PipelineSettings(Checked):
     """What is done around a learner, as ``zoo_configs/pipeline.yml`` may say it."""
 
-    fit_method: Literal["joint", "onset", "noise", "species"] = "joint"
-    """joint, onset (the paper's rule), noise (for noisy tracks) or species (its own parameters,
-    nothing is fitted; with --env); by default the preset's."""
+    fit_method: Literal["joint", "onset", "species"] = "joint"
+    """joint, onset (the paper's rule) or species (its own parameters, nothing is fitted; with
+    --env); by default the preset's."""
     thrusts: str = AUTO
     """Thrust magnitudes, 1 to 10, or auto: chosen on training data."""
     acting: str = CHOSEN

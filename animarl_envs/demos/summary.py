@@ -1,6 +1,6 @@
 """Demonstrations at a glance: a table per episode, the whole set in numbers, and in which unit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,6 +93,17 @@ def persistence(demos: Demonstrations) -> NDArray[np.float64]:
     squares = squares.reshape(len(demos.kinds), -1).sum(axis=1)
     kept = np.divide(onwards, squares, out=np.full_like(squares, np.nan), where=squares > 0)
     return np.asarray(kept)
+
+
+def tracking_noise(paths: Iterable[NDArray[np.float64]]) -> float:
+    """Return the standard deviation of white noise of positions, per axis [arena unit].
+
+    White noise makes successive accelerations anti-correlated: their covariance at lag one is -4
+    times its variance, to which damped motion adds little. ``paths`` are ``(frames, ..., 2)``.
+    """
+    bends = [np.diff(path, n=2, axis=0) for path in paths]
+    products = np.concatenate([np.empty(0), *((bend[1:] * bend[:-1]).ravel() for bend in bends)])
+    return float(np.sqrt(max(0.0, -products.mean() / 4.0))) if len(products) else 0.0
 
 
 def tracking_counts(demos: Demonstrations) -> dict[str, int]:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
+from animarl_envs.demos.summary import tracking_noise
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import bootstrap_joint, fast_speed, fit_joint, joint_locomotion
-from animarl_envs.fitting.noise import CONFIDENCE, Interval, fit_with_noise
 from animarl_envs.fitting.transitions import (
     bootstrap_onset,
     fit_onset,
@@ -28,10 +28,13 @@ from animarl_envs.fitting.transitions import (
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import SPECIES
 
-Method = Literal["joint", "onset", "noise", "species"]
+Method = Literal["joint", "onset", "species"]
+Interval = tuple[float, float]
+CONFIDENCE = 0.95  # of intervals
 BOOTSTRAP = 1000
 TOO_FAST = 2.0  # terminal speeds beyond so many times the top speed seen
 MATTERS = 0.1  # relative difference of d that is worth a warning, if it is beyond the interval
+NOISY = 0.1  # tracking noise, in median steps, beyond which the joint fit overestimates u
 ALIKE = 1e-6  # differences of d up to it are of rounding
 NEAR_ZERO = 1e-3  # an interval of d that begins below it reaches zero
 SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species counts as resting
@@ -41,10 +44,9 @@ SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species co
 class IndividualFit:
     """Fitted locomotion of one individual.
 
-    Intervals are 95 % percentile intervals over resampled episodes (method ``"noise"``: of its
-    likelihood), ``None`` with too few episodes or with several thrust magnitudes.
-    ``onsets`` is the number of rest-to-motion transitions (onset fit only);
-    ``resamples_without_onset`` were left out of the intervals.
+    Intervals are 95 % percentile intervals over resampled episodes; ``None`` with too few episodes
+    or with several thrust magnitudes. ``onsets`` is the number of rest-to-motion transitions (onset
+    fit only); ``resamples_without_onset`` were left out of the intervals.
     """
 
     name: str
@@ -60,7 +62,6 @@ class IndividualFit:
     magnitudes: tuple[float, ...] = (1.0,)  # multiples of the thrust, the largest first
     onsets: int | None = None
     resamples_without_onset: int = 0
-    tracking_noise: float | None = None  # of a coordinate, method "noise" only [arena unit]
 
     @property
     def locomotion(self) -> Locomotion:
@@ -127,8 +128,8 @@ def fit_locomotion(
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
-    Raises InputError if a split is empty, nobody moves, one never moves whom the onset or noise
-    rule is asked for, or the onset fit finds no onset.
+    Raises InputError if a split is empty, nobody moves, one never moves whom the onset rule
+    is asked for, or the onset fit finds no onset.
 
     Parameters
     ----------
@@ -136,8 +137,7 @@ def fit_locomotion(
         Recorded episodes, with their splits.
     method
         ``"joint"`` (see :mod:`animarl_envs.fitting.joint`), ``"onset"``, the paper's rule, or
-        ``"noise"``, for noisy tracks (see :mod:`animarl_envs.fitting.noise`), or ``"species"``: the
-        parameters of the species, which are not fitted.
+        ``"species"``: the parameters of the species, which are not fitted.
     thrusts
         Number of thrust magnitudes (see :mod:`animarl_envs.fitting.joint`).
     onset_threshold
@@ -153,7 +153,7 @@ def fit_locomotion(
         Parameters of each individual, for method ``"species"``.
     """
     if method not in get_args(Method):
-        raise InputError(f"method {method!r} is unknown: choose joint, onset, noise or species")
+        raise InputError(f"method {method!r} is unknown: choose joint, onset or species")
     training = demos if split is None else demos.select(split=split)
     without_validation = split is None and not (demos.split == "val").any()
     validation = demos if without_validation else demos.select(split="val")
@@ -178,11 +178,7 @@ def fit_locomotion(
             continue
         more: dict[str, Any] = {}
         samples: NDArray[np.float64] | None = None
-        if method == "noise":
-            noisy = fit_with_noise(training, i)
-            own = Locomotion(noisy.damping, noisy.thrust)
-            more["tracking_noise"] = noisy.noise
-        elif onset_threshold is None:
+        if onset_threshold is None:
             own = joint[i]
             if weights is not None and thrusts == 1 and method == "joint":
                 data = transitions(training, i)
@@ -196,15 +192,12 @@ def fit_locomotion(
                 every = bootstrap_onset(starts, weights)
                 samples = every[np.isfinite(every).all(axis=1)]
                 more["resamples_without_onset"] = len(every) - len(samples)
-        around = percentiles(samples)
-        if method == "noise":
-            around = noisy.damping_interval, noisy.thrust_interval
         fits.append(
             IndividualFit(
                 name,
                 own.damping,
                 own.thrust,
-                *around,
+                *percentiles(samples),
                 velocity_rmse=velocity_rmse(validation, i, own),
                 steps=int((training.lengths - 1).sum()),
                 top_speed=top_speed(training, i),
@@ -288,7 +281,7 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     The joint fit of one thrust is made once more without leaving any step out as a tracking jump.
     """
     seen = demos if fit.fitted_on == "all" else demos.select(split=fit.fitted_on)
-    still, fast, unknown, jumps = list[str](), list[str](), list[str](), list[str]()
+    still, fast, unknown, jumps, noisy = (list[str]() for _ in range(5))
     for i, one in enumerate(fits_by_kind(fit, demos)):
         if one.top_speed == 0:
             still.append(one.name)
@@ -301,7 +294,15 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
             )
         if one.damping_interval is not None and one.damping_interval[0] < NEAR_ZERO:
             unknown.append(one.name)
-        if fit.method != "joint" or len(one.magnitudes) > 1:
+        if fit.method != "joint":
+            continue
+        own = slice(None) if seen.is_group else slice(i, i + 1)
+        steps = np.linalg.norm(seen.velocities()[:, own], axis=-1) * seen.dt
+        noise = tracking_noise(each.positions[:, own] for each in seen)
+        share = noise / float(np.median(steps[steps > 0]))
+        if share > NOISY and not seen.synthetic:
+            noisy.append(f"{one.name}: {share:.0%}")
+        if len(one.magnitudes) > 1:
             continue
         data = transitions(seen, i)
         whole = fit_joint(data, one.name, fast_speed(data), far=math.inf)
@@ -332,5 +333,11 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         found.append(
             f"Steps are left out as tracking jumps that matter ({'; '.join(jumps)}): look at the "
             "jumps ('animarl data check')"
+        )
+    if noisy:
+        found.append(
+            "Successive accelerations oppose each other, as tracking noise would make them (in "
+            f"median steps: {', '.join(noisy)}), with which the joint fit overestimates u: import "
+            "with --smoothing HZ, above the fastest movement that matters"
         )
     return found

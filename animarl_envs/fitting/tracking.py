@@ -43,7 +43,6 @@ def track(
     arena: Arena | None = None,
     *,
     horizon: float = 1.0,
-    bodies: NDArray[np.integer] | None = None,
 ) -> Tracking:
     """Follow every recorded episode from its first state, all K individuals together.
 
@@ -51,16 +50,12 @@ def track(
     (ties: the lower number); focus directions are those of the simulated positions. Walls of the
     ``arena`` hold, by default those of ``demos``, if it has ``rebound``. ``horizon`` is h, the
     number of steps within which a miss of the position is corrected. 1 stays nearest; but each
-    correction is a push and then one back, so a larger h keeps pushes smooth. ``bodies``
-    ``(frames, K)`` says which of ``locomotion`` an individual has in the step from each frame; by
-    default the one of its own.
+    correction is a push and then one back, so a larger h keeps pushes smooth.
 
     Raises InputError if there are not K sets of parameters with equally many thrust magnitudes, or
     the horizon is below a step.
     """
-    if bodies is None:
-        bodies = np.broadcast_to(np.arange(demos.num_individuals), demos.positions.shape[:2])
-        _check(demos, locomotion)
+    _check(demos, locomotion)
     if not horizon >= 1.0:
         raise InputError(f"horizon is {horizon}: give 1 step or more")
     arena = demos.arena if arena is None else arena
@@ -76,10 +71,9 @@ def track(
     damping = np.array([own.damping for own in locomotion])
     thrust = np.array([own.thrust for own in locomotion])
     pushes = np.stack([own.action_vectors for own in locomotion])
-    which = np.ascontiguousarray(bodies, dtype=np.int64)
     for t in range(int(demos.lengths.max())):
         _follow(
-            t, starts, recorded, velocity, own_foci, which, damping, thrust, pushes, demos.dt,
+            t, starts, recorded, velocity, own_foci, damping, thrust, pushes, demos.dt,
             float(horizon), position_now, velocity_now, paths, speeds, actions, course,
         )  # fmt: skip
         if arena.rebound:
@@ -151,7 +145,7 @@ def _check(demos: Demonstrations, locomotion: Sequence[Locomotion]) -> None:
 
 @jit
 def _follow(  # type: ignore[no-untyped-def]
-    t, starts, recorded, recorded_velocity, own_foci, which, damping, thrust, pushes, dt, horizon,
+    t, starts, recorded, recorded_velocity, own_foci, damping, thrust, pushes, dt, horizon,
     position, velocity, paths, speeds, actions, course,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
@@ -178,13 +172,12 @@ def _follow(  # type: ignore[no-untyped-def]
             )
         for i in range(K):
             least, action, best_x, best_y = np.inf, 0, 0.0, 0.0
-            own = which[frame, i]
             for k in range(pushes.shape[1]):
-                ahead, left = pushes[own, k, 0], pushes[own, k, 1]
+                ahead, left = pushes[i, k, 0], pushes[i, k, 1]
                 ax = ahead * towards[i, 0] - left * towards[i, 1]
                 ay = ahead * towards[i, 1] + left * towards[i, 0]
-                vx = next_velocity(velocity[i, 0, b], ax, damping[own], thrust[own], dt)
-                vy = next_velocity(velocity[i, 1, b], ay, damping[own], thrust[own], dt)
+                vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
+                vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
                 px = (position[i, 0, b] + vx * dt - recorded[frame + 1, i, 0]) / (horizon * dt)
                 py = (position[i, 1, b] + vy * dt - recorded[frame + 1, i, 1]) / (horizon * dt)
                 qx = vx - recorded_velocity[frame + 1, i, 0]

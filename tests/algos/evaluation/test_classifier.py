@@ -15,9 +15,10 @@ from animarl_algos.evaluation.classifier import (
     widen_for_folds,
     window_features,
 )
-from animarl_algos.evaluation.prepared import smoothed, suggested_smoothing, tracking_noise
+from animarl_algos.evaluation.prepared import smoothed, suggested_smoothing
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
+from animarl_envs.demos.summary import tracking_noise
 
 
 def normal_windows(
@@ -214,5 +215,6 @@ def test_the_tracking_noise_is_found_and_a_filter_suggested() -> None:
     noisy = replace(
         recorded, positions=recorded.positions + rng.normal(0, 0.02, recorded.positions.shape)
     )
-    assert tracking_noise(noisy) == pytest.approx(0.02, rel=0.2)
+    paths = [noisy.path(index) for index in range(len(noisy))]
+    assert tracking_noise(paths) == pytest.approx(0.02, rel=0.2)
     assert suggested_smoothing(noisy) in (3, 5)

@@ -133,7 +133,7 @@ def test_an_individual_that_never_moves_is_said_and_stands_still(thrusts: int) -
     assert set(actions.tolist()) == {-1, 12 * thrusts}  # none where an episode ends, and rest
     said = doubts(fit, stuck)
     assert said[0].startswith("b never moves in all: nothing is learned of how it moves")
-    refuses("b has .* steps, 0 of them in motion", fit_locomotion, stuck, "noise", split=None)
+    refuses("b has .* steps, 0 of them in motion", fit_joint, transitions(stuck, 1), "b")
     still[:] = still[0]
     nobody = Demonstrations(**{**vars(demos), "positions": still})
     refuses("no individual ever moves: check", fit_locomotion, nobody, split=None)
