@@ -2,7 +2,7 @@
 
     python benchmarks/online.py agent --rate 1e-5 --rate 3e-5 --rate 1e-4 --seed 0 --seed 1
     python benchmarks/online.py fly newt silkmoth --seed 0 --seed 1
-    python benchmarks/online.py termites.npz --algo iq-learn --steps 153600
+    python benchmarks/online.py termites.npz --algo dqaas
 
 Each learner is pretrained once per seed and goes on from there at every rate. Before and after, it
 is rolled out from the validation starts, sampled at the temperatures fitted anew on validation. The

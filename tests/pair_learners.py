@@ -28,11 +28,6 @@ SETTINGS: dict[str, Any] = {
     "policy_kwargs": {"hidden": 8, "depth": 2, "head_layers": 1, "dropout": 0.0}, "seed": 3,
     "device": "cpu",
 }  # fmt: skip
-INVERSE: dict[str, Any] = {
-    "exploration": "boltzmann", "train_freq": (6, "step"), "gradient_steps": 3,
-    "sequence_length": 6, "burn_in": 2,
-}  # fmt: skip
-"""What sets a learner apart that samples its own steps and is shown demonstrated ones."""
 EPISODES = 48
 
 
@@ -88,7 +83,7 @@ def make_pair_learner(name: str, policy: str = "GruPolicy", **more: Any) -> Sequ
     """Recipe ``name`` on the pair, with demonstrations where it needs them."""
     named = named_recipe(name)
     flag = named.algorithm.recipe.needs_condition
-    settings = SETTINGS | (INVERSE if named.algorithm.recipe.inverse else {}) | more
+    settings = SETTINGS | more
     if named.pretrained:
         settings = {"demonstrations": demonstrations(flag), "offline_epochs": 2} | settings
     return named.algorithm(policy, FlaggedPair(2) if flag else toys.Pair(2), **settings)

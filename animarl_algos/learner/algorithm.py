@@ -39,7 +39,7 @@ from animarl_algos.learner.updates import minibatch_values, update
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.acting_rule import Acting, Kind
-from animarl_algos.networks.policies import State, values_to_logits, zero_value_stream
+from animarl_algos.networks.policies import State, zero_value_stream
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -80,8 +80,7 @@ class SequenceQLearning(BaseLearner):
         """Check the environment and the demonstrations as :meth:`learn` does before it begins."""
         assert self.env is not None
         check_environment_supports(self.recipe, self.env, self.layout, self.alpha)
-        pretraining = self.offline_epochs > 0 and not self.offline_progress.done
-        if self.recipe.inverse or pretraining:
+        if self.offline_epochs > 0 and not self.offline_progress.done:
             data = self.demonstration_data()
             check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
 
@@ -143,8 +142,6 @@ class SequenceQLearning(BaseLearner):
         policy.reset_optimizer(self.lr_schedule(1.0))
         if self.exploration == "boltzmann":
             policy.acting = Acting.boltzmann(self.fit_temperature(data.val))
-        if self.recipe.inverse:
-            values_to_logits(policy)
         return self.offline_progress
 
     def offline_phase(self) -> Pretraining:
@@ -419,21 +416,10 @@ class SequenceQLearning(BaseLearner):
         buffer, policy, terms = self._require_buffer(), self.policy, self.recipe.online
         self._update_learning_rate(policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
-        if self.recipe.inverse:
-            # By the seed and the updates done, so that a resumed run draws the same.
-            generator = np.random.default_rng([self.root_seed, self._n_updates])
-            demonstrated = self.demonstration_data().train.windows(
-                batch_size, gradient_steps, generator, length=buffer.stride, burn_in=buffer.burn_in
-            )
         phase, needs_target = self.phase("online"), any(term.needs_target for term in terms)
         for _ in range(gradient_steps):
             batch = buffer.sample(batch_size, progress)
             minibatch = minibatch_values(policy, batch, phase, needs_target=needs_target)
-            if self.recipe.inverse:
-                shown = next(demonstrated).to(policy.device)
-                minibatch.demonstrated = minibatch_values(
-                    policy, shown, phase, needs_target=needs_target
-                )
             losses, priorities = update(
                 minibatch, terms, policy.optimizer, prioritized=buffer.prioritized
             )

@@ -23,7 +23,6 @@ from animarl_algos.data.vec_env import (
     SlotLayout,
     check_environment_supports,
     check_observation,
-    declared,
     demonstrations_in,
     is_observed_as_declared,
     refuse_other_actions,
@@ -58,7 +57,7 @@ from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayB
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.species import Species, get_species
+from animarl_envs.species import get_species
 
 TO_SB3 = (
     "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
@@ -229,7 +228,7 @@ class BaseLearner(OffPolicyAlgorithm):
                 self.demonstrations = self._as_data(demonstrations)
             if demonstrations is not None:
                 self.check_learnable()
-            elif self.offline_epochs or self.recipe.inverse:  # there, though not looked at yet
+            elif self.offline_epochs:  # there, though not looked at yet
                 self.demonstration_data()
 
     @classmethod
@@ -270,9 +269,6 @@ class BaseLearner(OffPolicyAlgorithm):
         self.boundary_hooks: list[BoundaryCallback] = []
 
     def _make_policy(self) -> GruPolicy:
-        rule = Acting.epsilon_greedy(self.exploration_rate)
-        if self.recipe.inverse:
-            rule = Acting.boltzmann(1.0)
         return self.policy_class(
             self.observation_space,
             self.action_space,
@@ -280,7 +276,7 @@ class BaseLearner(OffPolicyAlgorithm):
             individuals=self.layout.individuals,
             condition_flag=self.layout.condition_flag,
             treatment_head=self.recipe.needs_condition and self.layout.condition_flag,
-            acting=self.acting_rule or rule,
+            acting=self.acting_rule or Acting.epsilon_greedy(self.exploration_rate),
             seed=self.root_seed,
             **PolicySettings.read(self.policy_kwargs, "policy_kwargs: "),
         ).to(self.device)
@@ -366,15 +362,11 @@ class BaseLearner(OffPolicyAlgorithm):
         """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
         online = name == "online"
         own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
-        species, punished = getattr(declared(self.env, "scenario"), "species", None), 0.0
-        if isinstance(species, Species):  # between the cost of a step and that of leaving
-            punished = min(species.boundary_penalty, 0.0) / 2 - 2 * species.step_cost
         return Phase(
             name=name,
             lambda1=self.lambda1,
             scaled_penalties=self.offline_scaled_penalties and not online,
             n_steps=self.n_steps if online else 1,
-            punished_below=punished,
             **{key: getattr(self, key if online else f"offline_{key}") for key in own},
         )
 

@@ -390,11 +390,6 @@ def check_setting_combinations(
             f"policy_kwargs: n_quantiles is {given!r}: only the learners on quantiles have it, and "
             "they need it: choose another class"
         )
-    if recipe.inverse and settings["exploration"] != "boltzmann":
-        raise InputError(
-            f"exploration is {settings['exploration']!r} and recipe {recipe.name} learns from "
-            "steps that its policy samples: set it to 'boltzmann'"
-        )
     if epochs and not recipe.offline:
         raise InputError(
             f"recipe {recipe.name} learns without demonstrations: set offline_epochs to 0"

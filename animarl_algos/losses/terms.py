@@ -36,8 +36,6 @@ class Phase:
         one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
     n_steps
         Rewards that are summed before the value of what follows (Sutton 1988; Hessel et al. 2018).
-    punished_below
-        An end whose reward is below it is one that the task punishes.
     """
 
     name: str
@@ -49,7 +47,6 @@ class Phase:
     max_grad_norm: float | None
     scaled_penalties: bool = False
     n_steps: int = 1
-    punished_below: float = 0.0
 
 
 @dataclass
@@ -73,7 +70,6 @@ class MinibatchValues:
     parameters: Sequence[torch.Tensor]  # the online network's, each (K, ...)
     shared: Sequence[torch.Tensor] = ()  # those of them that all individuals have in common
     errors: torch.Tensor | None = None  # (K, T, B), absolute, set by temporal differences
-    demonstrated: MinibatchValues | None = None  # beside own steps, where a recipe is inverse
 
     @property
     def values(self) -> torch.Tensor:
@@ -279,47 +275,6 @@ class WeightDecay(LossTerm):
         return weights.square().sum(1)
 
 
-def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Tensor:
-    """``V(s')``, (K, T, B); ``end_value`` (K,) after an end that the task does not punish."""
-    batch, below = minibatch.batch, minibatch.phase.punished_below
-    after: torch.Tensor = minibatch.online.q_values[:, 1:].logsumexp(-1)
-    at_end = torch.where(batch.rewards < below, 0.0, end_value.view(-1, 1, 1))
-    return torch.where(batch.terminated > 0, at_end, after)
-
-
-@dataclass(frozen=True)
-class InverseSoftQ(LossTerm):
-    """IQ-Learn (Garg et al. 2021) with the chi-square penalty, on demonstrated and own steps.
-
-    With ``V = log sum_a exp Q`` and the implied reward ``r = Q(s, a) - gamma V(s')``, half of the
-    mean of ``V(s) - gamma V(s') + r^2 / 2`` over either kind of steps, less the mean of r over the
-    demonstrated ones. A demonstrated step with a soft label counts for each action by its share.
-    After an end ``V(s')`` is the mean over the demonstrated states, or 0 where the task punishes
-    it.
-    """
-
-    name: ClassVar[str] = "iq"
-
-    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        """Return the loss of each individual, ``(K,)``."""
-        shown = minibatch.demonstrated
-        assert shown is not None
-        end_value = masked_mean(shown.q_values.logsumexp(-1), shown.valid).detach()
-        loss = torch.zeros_like(end_value)
-        for steps in (shown, minibatch):
-            shares = steps.batch.label_shares
-            if shares is None:
-                shares = functional.one_hot(steps.batch.actions, steps.q_values.shape[-1])
-            following = minibatch.phase.gamma * next_values(steps, end_value)
-            rewards = steps.q_values - following.unsqueeze(-1)
-            worth = steps.q_values.logsumexp(-1) - following
-            squares = 0.5 * (shares * rewards.square()).sum(-1)
-            loss = loss + 0.5 * masked_mean(worth + squares, steps.valid)
-            if steps is shown:
-                loss = loss - masked_mean((shares * rewards).sum(-1), steps.valid)
-        return loss
-
-
 class Selection(StrEnum):
     """Validation figure (the lower the better) by which the best offline epoch is kept."""
 
@@ -344,9 +299,6 @@ class Recipe:
         Whether the environment must hand out ``dtw_penalty``, and ``aligned_action``.
     needs_condition
         Whether the last observation component must be the condition flag (treatment head).
-    inverse
-        Whether the online phase learns from demonstrated steps beside its own, action values being
-        the logits of the policy: it acts by ``softmax Q`` at temperature 1.
     """
 
     name: str
@@ -356,7 +308,6 @@ class Recipe:
     needs_distance: bool = False
     needs_alignment: bool = False
     needs_condition: bool = False
-    inverse: bool = False
 
     def cloning(self) -> Recipe:
         """Return this recipe with an offline phase that clones and keeps only its adversary.

@@ -330,23 +330,6 @@ def zero_value_stream(network: StackedQNetwork) -> None:
     value.bias.zero_()
 
 
-@torch.no_grad()
-def values_to_logits(policy: GruPolicy) -> None:
-    """Divide the action values by the temperatures of ``policy``, which are 1 from then on.
-
-    It acts as before, by ``softmax Q``; learners that take action values as logits need this.
-    Individuals that share a network are divided by the mean of their temperatures.
-    """
-    fitted = torch.tensor(policy.acting.temperature).view(-1, 1, 1)
-    if policy.q_net.shared:
-        fitted = fitted.mean(0, keepdim=True)
-    for network in (policy.q_net, policy.q_net_target):
-        for layer in (network.dueling.value, network.dueling.advantage):
-            for parameter in (layer.weight, layer.bias):
-                parameter.div_(fitted.to(parameter))
-    policy.acting = Acting.boltzmann(1.0)
-
-
 # -- one decision of every slot as a compiled loop, for float32 on the CPU ------------------------
 #
 # The same equations as ``StackedQNetwork.step``, slot by slot; a decision through tensor operations

@@ -17,7 +17,7 @@ from animarl_envs.errors import InputError
 
 __all__ = [
     "BC", "DQAAS", "DQCIL", "DQDIL", "DQN", "QRBC", "QRDQAAS", "QRDQCIL", "QRDQDIL", "QRDQN",
-    "RECIPES", "IQLearn", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
+    "RECIPES", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
 ]  # fmt: skip
 
 
@@ -71,25 +71,6 @@ class SoftBC(DQN):
         selection=terms.Selection.LABEL_CROSS_ENTROPY,
     )
     preset: ClassVar[str] = "soft-bc"
-
-
-class IQLearn(DQN):
-    """Inverse soft Q-learning (Garg et al. 2021) from a soft-label clone, on shown and own steps.
-
-    A clone errs where its own errors lead it; here it meets those states, and the soft values of
-    its future tell them from the demonstrated ones. Some 25 collections improve a clone; by 60 it
-    drifts. There is no twin on quantiles: the loss asks nothing of a return's distribution, so that
-    all but the quantiles' mean would be left to chance.
-    """
-
-    recipe: ClassVar[terms.Recipe] = terms.Recipe(
-        name="iq-learn",
-        online=(terms.InverseSoftQ(),),
-        offline=(terms.ActionSupervision(weighted=False, soft=True),),
-        selection=terms.Selection.LABEL_CROSS_ENTROPY,
-        inverse=True,
-    )
-    preset: ClassVar[str] = "iq-learn"
 
 
 class DQAAS(DQN):
@@ -173,7 +154,7 @@ class NamedRecipe(NamedTuple):
 
 
 LEARNERS: tuple[type[SequenceQLearning], ...] = (
-    *(DQN, BC, SoftBC, IQLearn, DQAAS, DQDIL, DQCIL),
+    *(DQN, BC, SoftBC, DQAAS, DQDIL, DQCIL),
     *(QRDQN, QRBC, QRSoftBC, QRDQAAS, QRDQDIL, QRDQCIL),
 )
 RECIPES: dict[str, NamedRecipe] = {}

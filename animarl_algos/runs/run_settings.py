@@ -54,7 +54,7 @@ class RunSettings(PipelineSettings):
     species: str
     """agent, fly, newt, silkmoth, solo, shoal or custom; by default that of FILE."""
     algo: str = "soft-bc"
-    """soft-bc, iq-learn, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."""
+    """soft-bc, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."""
     preset: Literal["paper", "default"] = "default"
     """Settings: paper (the paper's) or default (tuned)."""
     config: str | None = None

@@ -208,9 +208,6 @@ def learned(name: str, policy: str) -> dict[str, Any]:
     """Weights of a small learner of the agents after some updates, offline and online."""
     named, torch_threads = RECIPES[name], torch.get_num_threads()
     settings = dict(SMALL)
-    if named.algorithm.recipe.inverse:
-        settings |= {"train_freq": (6, "step"), "gradient_steps": 2}
-        settings |= {"sequence_length": 6, "burn_in": 2}
     if named.pretrained:
         settings |= OFFLINE[policy]
     flag = named.algorithm.recipe.needs_condition

@@ -20,7 +20,7 @@ from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.pretraining import Pretraining
-from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN, QRDQN, IQLearn
+from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN, QRDQN
 from animarl_algos.runs.run_settings import RunSettings, checked_species
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.wrappers import DTWReward
@@ -83,12 +83,6 @@ CASES = {
     ),
     "no demonstrations in a world": Case(
         "was given demonstrations", BC, lambda: SlotVecEnv("agent", 2, demos=None)
-    ),
-    "no demonstrations online": Case(
-        "was given demonstrations",
-        IQLearn,
-        lambda: SlotVecEnv("fly", 2, demos=None),
-        lambda: {"sequence_length": 8, "exploration": "boltzmann"},
     ),
     "other individuals": Case(
         "2 individuals with 4", DQDIL, lambda: toys.Lock(2), offline(demonstrations)

@@ -26,7 +26,7 @@ from animarl_envs import SPECIES, environment_id
 
 AGENT = "AnimaRL/Agent-v0"
 PAPERS_WORLD = {"observation": "paper", "rebound": False}
-OF_THE_PAPER = [name for name in RECIPES if "soft-bc" not in name and name != "iq-learn"]
+OF_THE_PAPER = [name for name in RECIPES if "soft-bc" not in name]
 
 
 def presets(algo: str) -> tuple[str, ...]:

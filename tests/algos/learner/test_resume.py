@@ -56,7 +56,7 @@ class Stop(CheckpointCallback):
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        *((name, {}) for name in ("dqdil", "dqaas", "qr-dqdil", "iq-learn")),
+        *((name, {}) for name in ("dqdil", "dqaas", "qr-dqdil")),
         ("dqdil-pt", {"exploration": "boltzmann"}),  # at temperatures that were fitted
     ],
 )

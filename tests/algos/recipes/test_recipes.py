@@ -45,7 +45,7 @@ def test_every_recipe_trains_repeats_saves_and_loads(name: str, tmp_path: Path) 
     loaded.learn(30)
 
 
-@pytest.mark.parametrize("name", ["dqn", "dqdil-pt", "dqcil-pt", "qr-dqdil", "iq-learn"])
+@pytest.mark.parametrize("name", ["dqn", "dqdil-pt", "dqcil-pt", "qr-dqdil"])
 def test_individuals_that_share_a_network_do_so_to_the_end(name: str, tmp_path: Path) -> None:
     kwargs = SETTINGS["policy_kwargs"] | {"shared": True}
     model = make_pair_learner(name, policy_kwargs=kwargs)

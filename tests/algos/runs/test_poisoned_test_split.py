@@ -25,9 +25,6 @@ SMALL: dict[str, Any] = {
     "offline_epochs": 1,
     "offline_kwargs": {"updates_per_epoch": 3, "warm_up": 1},
 }
-IQ: dict[str, Any] = {
-    "train_freq": [25, "step"], "gradient_steps": 2, "batch_size": 16, "buffer_size": 4000,
-}  # fmt: skip
 
 
 def a_few(species: str = "custom") -> Demonstrations:
@@ -78,7 +75,6 @@ def test_the_test_split_is_refused() -> None:
         ("soft-bc", "custom", {}),
         ("dqdil-pt", "agent", {}),  # its episodes begin with replayed demonstrations
         pytest.param("dqaas", "agent", {}, marks=pytest.mark.slow),
-        pytest.param("iq-learn", "agent", IQ, marks=pytest.mark.slow),
     ],
 )
 def test_poison_changes_neither_what_is_learned_nor_what_is_packaged(
