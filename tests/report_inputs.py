@@ -4,16 +4,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from moving_pairs import rollouts_along
 from recordings import episodes_along
 
 from animarl_algos import load_run
 from animarl_algos.evaluation import Rollouts, evaluate
-from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
 from animarl_algos.report.run_page import run_page
-from animarl_algos.runs.inspecting import Decisions, Inspected, episode_page
 from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.answer_page import answer_page
 from animarl_algos.whatif.truth import find_truth
@@ -103,35 +100,3 @@ def whatif_page() -> str:
     truth = find_truth("teams", run, 1)
     found = ask([run], ["condition=shared"], repetitions=1, truth=truth)
     return answer_page(found, "animarl whatif agent --change condition=shared --truth teams").html()
-
-
-@cache
-def inspected_page() -> str:
-    """The page of one episode, with the rollouts of two methods."""
-    demos, episode = make_demos(), 3
-    rollouts = {
-        name: made.select(made.demo == episode)
-        for name, made in ((name, make_rollouts(demos, name)) for name in ("dqdil", "bc"))
-    }
-    recording = Rollouts.from_demonstrations(demos).select(np.array([episode]))
-    steps, rng = int(recording.lengths[0]) - 1, np.random.default_rng(0)
-    everything = {recording.method: recording, **rollouts}
-    page = episode_page(
-        Inspected(
-            learner="dqdil",
-            episode=episode,
-            demos=demos,
-            species=AGENT,
-            recording=recording,
-            rollouts=rollouts,
-            decisions=Decisions(
-                "predator_0", episode, rng.normal(size=(steps, 13)), rng.integers(13, size=steps)
-            ),
-            metrics=pd.concat([measure(r, demos) for r in everything.values()], ignore_index=True),
-            world={"arena": "square"},
-            **MADE,
-            versions={"animarl": "0.1.0", "torch": "2.13.0"},
-            command="animarl inspect runs/dqdil-0 --episode 3",
-        )
-    )
-    return page.html()

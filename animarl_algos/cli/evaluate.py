@@ -113,24 +113,6 @@ def evaluate_command(
 
 
 @helps(
-    run="A run folder that was evaluated.",
-    episode=Option(min=0, help="Number of the demonstration in the test split, from 0."),
-    out=OUT,
-)
-def inspect_command(run: Path, episode: int, out: Path = Path("out/inspect")) -> None:
-    """Show one test recording beside rollouts from its start, with the action values.
-
-    Example:
-
-      animarl inspect runs/agents --episode 3 --out out/inspect
-    """
-    from animarl_algos.runs.inspecting import inspect_run
-
-    inspect_run(run, episode, out)
-    _say_page(out)
-
-
-@helps(
     run="Run folder, trained and evaluated.",
     out=Option(help="Folder of the model."),
     demonstrations=Option(

@@ -94,7 +94,6 @@ COMMANDS = {
     "evaluate": Place("evaluate", "evaluate_command"),
     "whatif": Place("evaluate", "whatif_command"),
     "page": Place("evaluate", "page_command"),
-    "inspect": Place("evaluate", "inspect_command"),
     "report": Place("run", "report_command"),
     "export": Place("evaluate", "export_command"),
     "watch": Place("watch", "watch_command"),

@@ -1,7 +1,6 @@
 """Rollouts against recordings, statistically.
 
-What looks at whole runs and writes pages (``evaluate_runs``, ``inspect_run`` and what they work
-out, ``compare_runs``, ``inspect_episode``) is loaded when it is first asked for.
+What looks at whole runs (``evaluate_runs``, ``compare_runs``) is loaded when it is first used.
 """
 
 from __future__ import annotations
@@ -18,19 +17,15 @@ from animarl_algos.evaluation.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
     from animarl_algos.runs.evaluating import compare_runs, evaluate_runs
-    from animarl_algos.runs.inspecting import inspect_episode, inspect_run
 
 __all__ = [
     "Evaluation", "RandomPolicy", "Rollouts", "Verdict", "collect_rollouts", "compare_runs",
-    "evaluate", "evaluate_runs", "inspect_episode", "inspect_run", "measure",
-    "measure_recordings", "teams_of", "verdict",
+    "evaluate", "evaluate_runs", "measure", "measure_recordings", "teams_of", "verdict",
 ]  # fmt: skip
 
 _OF_RUNS = {
     "compare_runs": "evaluating",
     "evaluate_runs": "evaluating",
-    "inspect_episode": "inspecting",
-    "inspect_run": "inspecting",
 }
 
 

@@ -24,7 +24,9 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from filelock import FileLock, Timeout
+from numpy.typing import NDArray
 
 from animarl_algos.data.vec_env import FocalPolicy, SlotVecEnv, focal_drivers
 from animarl_algos.evaluation import acting_choice
@@ -45,12 +47,13 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.result import LocomotionFit
+from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import PACKAGED, Condition, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world, with_options
 from animarl_envs.species.traits import TRAITS
-from animarl_envs.worlds import make_world
+from animarl_envs.worlds import demonstration_observations, make_world
 
 if TYPE_CHECKING:
     from animarl_algos.whatif.answer import WhatIf
@@ -575,6 +578,45 @@ class Run:
     def has_condition_flag(self) -> bool:
         """Whether the policy has a condition flag among its inputs."""
         return self.policy.layout.condition_flag
+
+    @property
+    def learned_individuals(self) -> tuple[str, ...]:
+        """The individuals that a policy was learned for: all of them, or ``focal`` alone."""
+        focal = self.settings.focal
+        return self.species.individuals if focal is None else (focal,)
+
+    def action_values(self, episode: int, split: str = "test") -> NDArray[np.float64]:
+        """Return the policy's Q-values along a recorded episode ``(steps, individuals, actions)``.
+
+        Everybody moves as recorded; the values are those before each step, given the observations
+        and actions so far. Individuals are :attr:`learned_individuals`; the last action coasts, the
+        others are directions from the focus, the largest thrust first
+        (:data:`animarl_envs.locomotion.ACTION_VECTORS`). ``episode`` is its number in ``split``,
+        the column ``demo`` of all tables.
+
+        Raises InputError if there is no such episode, or the run is not trained.
+        """
+        demos = self.demos.select(split=split)
+        if not 0 <= episode < len(demos):
+            raise InputError(
+                f"{self.path}: there is no {split} episode {episode}: choose one of 0 to "
+                f"{len(demos) - 1}"
+            )
+        one, policy = demos.select(episodes=[episode]), self.policy
+        columns = [one.individuals.index(name) for name in self.learned_individuals]
+        observations = demonstration_observations(self.species, one)[:, columns]
+        if self.told_condition:
+            flag = np.full((*observations.shape[:2], 1), one.condition[0], dtype=np.float32)
+            observations = np.concatenate([observations, flag], axis=2)
+        actions = demonstrated_actions(one, self.species.locomotion).astype(np.int64)[:, columns]
+        values, state = [], None
+        for t in range(len(observations) - 1):
+            q_values, memory, _ = policy.policy.advance(
+                observations[t], state, np.zeros(len(columns), dtype=bool)
+            )
+            values.append(q_values)
+            state = (memory, np.maximum(actions[t], 0))
+        return np.array(values, dtype=np.float64)
 
     def what_if(self, *changes: str, **options: Any) -> WhatIf:
         """Ask what would happen in a changed world; see :func:`animarl_algos.whatif.answer.ask`.

@@ -173,7 +173,7 @@ def commands() -> list[list[str]]:
 
 def test_every_command_is_shown() -> None:
     names = [words[1] for words in commands()]
-    assert names == ["data", "run", "run", "run", "run", "evaluate", "whatif", "inspect"]
+    assert names == ["data", "run", "run", "run", "run", "evaluate", "whatif"]
     assert all(words[0] == "animarl" for words in commands())
 
 

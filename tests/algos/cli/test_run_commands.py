@@ -1,4 +1,4 @@
-"""``animarl evaluate`` and ``inspect``: many runs in, tables and a page out."""
+"""``animarl evaluate``: many runs in, tables and a page out."""
 
 import hashlib
 import json
@@ -147,32 +147,29 @@ def test_runs_that_differ_are_refused_by_what_differs(
     assert not (tmp_path / "never").exists()
 
 
-@pytest.mark.parametrize("command", ["evaluate", "inspect"])
 def test_bad_input_is_one_sentence(
-    command: str, animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:
-    more = ["--episode", "0"] if command == "inspect" else []
     empty = tmp_path / "empty"
     empty.mkdir()
-    refused(animarl(command, "nowhere", *more, "--out", "o"), "nowhere", "not a run folder")
-    refused(animarl(command, empty, *more, "--out", "o"), "not a run folder")
+    refused(animarl("evaluate", "nowhere", "--out", "o"), "nowhere", "not a run folder")
+    refused(animarl("evaluate", empty, "--out", "o"), "not a run folder")
     copy = tmp_path / "copy"
     shutil.copytree(runs[0], copy)
     shutil.rmtree(copy / "rollouts")
-    refused(animarl(command, copy, *more, "--out", "o"), "no rollouts", "animarl evaluate")
+    refused(animarl("evaluate", copy, "--out", "o"), "no rollouts", "animarl evaluate")
     (tmp_path / "file").write_text("in the way")
-    refused(animarl(command, runs[0], *more, "--out", "file"), "it is a file")
-    refused(animarl(command, runs[0], *more, "--out", runs[1]), "it is a run folder")
+    refused(animarl("evaluate", runs[0], "--out", "file"), "it is a file")
+    refused(animarl("evaluate", runs[0], "--out", runs[1]), "it is a run folder")
     spoilt = tmp_path / "spoilt"
     shutil.copytree(runs[0], spoilt)
-    if command == "evaluate":
-        (table,) = (spoilt / "logs").rglob("progress.csv")
-        table.write_bytes(b'"a,b\n1,2,3\n\xff\xfe')
-        refused(animarl(command, spoilt, "--out", "o"), "progress.csv", "cannot be read")
-        refused(animarl(command, *runs, "--acting", "greedy", "--out", "o"), "--acting")
-        refused(animarl(command, *runs), "--out")
+    (table,) = (spoilt / "logs").rglob("progress.csv")
+    table.write_bytes(b'"a,b\n1,2,3\n\xff\xfe')
+    refused(animarl("evaluate", spoilt, "--out", "o"), "progress.csv", "cannot be read")
+    refused(animarl("evaluate", *runs, "--acting", "greedy", "--out", "o"), "--acting")
+    refused(animarl("evaluate", *runs), "--out")
     (spoilt / "rollouts" / "DQCIL-PT.npz").write_bytes(b"PK\x03\x04 cut")
-    refused(animarl(command, spoilt, *more, "--out", "o"), "DQCIL-PT.npz", "damaged")
+    refused(animarl("evaluate", spoilt, "--out", "o"), "DQCIL-PT.npz", "damaged")
     assert not (tmp_path / "o").exists()
 
 
@@ -196,36 +193,16 @@ def test_trained_runs_are_judged_on_new_recordings(
 def test_a_full_disk_leaves_earlier_results(
     animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:
-    command = ("inspect", runs[0], "--episode", 0, "--out", "out")
+    command = ("evaluate", runs[0], "--out", "out")
     succeeded(animarl(*command))
     before = contents(tmp_path / "out")
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     unlimited = (resource.RLIM_INFINITY,) * 2
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     try:
-        done = animarl("inspect", runs[0], "--episode", 1, "--out", "out")
+        done = animarl("evaluate", runs[1], "--out", "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
     refused(done, "cannot be written", "make room")
     assert contents(tmp_path / "out") == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_one_episode_is_looked_at(
-    animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
-) -> None:
-    succeeded(animarl("inspect", runs[0], "--episode", 3, "--out", "out"))
-    whole(tmp_path / "out", {"steps", "values", "metrics"})
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "Paths from the start of the episode" in page and "animarl watch --beside" in page
-    assert "is the demonstrated one in" in page
-    steps = pd.read_parquet(tmp_path / "out" / "steps.parquet")
-    test = few().select(split="test")
-    recorded = steps[(steps["method"] == "recorded") & (steps["individual"] == "prey")]
-    assert np.allclose(recorded[["x", "y"]], test.episode(3).positions[:, 2])
-    assert set(steps["demo"]) == {3}
-    values = pd.read_csv(tmp_path / "out" / "values.csv")
-    assert values["step"].max() + 1 == test.lengths[3] - 1
-    assert np.allclose(values.groupby("step")["advantage"].sum(), 0.0, atol=1e-6)
-    gone = animarl("inspect", runs[0], "--episode", 6, "--out", "out")
-    refused(gone, "no test episode 6", "0 to 5")

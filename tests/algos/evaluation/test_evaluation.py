@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,10 +29,8 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict_rows import UNKNOWN
 from animarl_algos.report import evaluation_table
 from animarl_algos.report.player import factual_rollouts
-from animarl_algos.runs.inspecting import Decisions, decide_along
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.species import SPECIES
 
 
 def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
@@ -125,48 +122,6 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
     assert columns[-2:] == ["pace\n(arena units/s)", "energy of pace"]
     # An evaluation from before it was added still makes its page.
     assert rendered(inputs) == report_page()
-
-
-class Counter:
-    """Values that show the policy's memory (steps counted) and the flag; 1 more for slot % 3."""
-
-    def __init__(self) -> None:
-        self.previous_actions: list[Any] = []
-
-    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
-        slots = len(observation)
-        count = np.zeros((slots, 1)) if state is None else state[0].reshape(slots, 1)
-        self.previous_actions.append(None if state is None else state[1])
-        q = np.zeros((slots, 13)) + 10.0 * count + observation[:, -1:]
-        q[np.arange(slots), np.arange(slots) % 3] += 1.0
-        return q, count + 1, False
-
-
-DEMOS = make_demos()
-STEPS = int(DEMOS.lengths[3]) - 1
-FLAG = float(DEMOS.condition[3])
-
-
-def decisions(policy: Counter, focal: str | None = None) -> Decisions:
-    return decide_along(policy, SPECIES["agent"], DEMOS, 3, condition_flag=True, focal=focal)
-
-
-def test_decisions_follow_the_recorded_path() -> None:
-    policy = Counter()
-    made = decisions(policy)
-    assert (made.individual, made.demo, len(made.q)) == ("predator_0", 3, STEPS)
-    assert made.q[:, 0] == pytest.approx(10.0 * np.arange(STEPS) + 1.0 + FLAG)
-    told = [actions[0] for actions in policy.previous_actions[1:STEPS]]
-    assert np.array_equal(told, made.actions[: STEPS - 1])
-
-
-def test_a_policy_of_a_single_individual_tells_that_ones_values() -> None:
-    """From its own slots: no others are asked about."""
-    policy = Counter()
-    prey = decisions(policy, focal="prey")
-    assert (prey.individual, len(prey.q)) == ("prey", STEPS)
-    assert policy.previous_actions[-1].shape == (1,)
-    assert not np.array_equal(prey.actions, decisions(Counter()).actions)
 
 
 def line(frames: int, step: tuple[float, float], start: tuple[float, float]) -> NDArray[np.float64]:

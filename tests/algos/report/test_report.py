@@ -26,7 +26,6 @@ from animarl_algos.report.inputs import PageInputs
 from animarl_algos.report.player import play
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words, with_interval
-from animarl_algos.runs.inspecting import Decisions, values_along_path
 from animarl_envs.arena import Arena
 from animarl_envs.fitting.custom_species import SMALLEST_CONTACT
 from animarl_envs.species import SPECIES
@@ -107,12 +106,6 @@ def test_inputs_that_do_not_belong_together_are_refused() -> None:
     half = inputs.demos.select(condition=0)
     refuses("other demonstrations", dataclasses.replace, inputs, demos=half)
     refuses("no rollouts of 'dqn'", dataclasses.replace, inputs, learner="dqn")
-
-
-def test_values_are_drawn_along_a_path() -> None:
-    rng = np.random.default_rng(0)
-    decisions = Decisions("predator", 0, rng.normal(size=(30, 13)), rng.integers(-1, 13, 30))
-    assert "Advantage" in to_image(values_along_path(decisions, 0.1), "values").drawing
 
 
 def test_a_drawing_stands_in_a_page_and_alone() -> None:

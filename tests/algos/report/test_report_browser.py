@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from browser import listen
-from report_inputs import inspected_page, report_page, whatif_page
+from report_inputs import report_page, whatif_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -314,7 +314,7 @@ def test_the_button_changes_the_theme_of_page_and_figures(open_page: Open) -> No
     assert not page.is_visible("#player") and page.is_visible(".lead")
 
 
-PAGES = {"report": report_page, "whatif": whatif_page, "inspection": inspected_page}
+PAGES = {"report": report_page, "whatif": whatif_page}
 SAME_LINE = 2.0  # [pt]
 # What goes with the thing below it, and the captions that go with the picture above.
 BEFORE = "h2, h3, section > p, figure.table > figcaption, summary, tr.group"

@@ -37,6 +37,7 @@ from animarl_envs.demos.joining import first_of_role
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.result import fit_locomotion
+from animarl_envs.fitting.transitions import demonstrated_actions
 
 PAGE = "docs/what_if.md"
 
@@ -100,6 +101,54 @@ def test_each_file_of_a_run_is_read_once(run: Run) -> None:
     assert len(loaded.demos) == len(run.demos)
     once = ["demonstrations.npz", "locomotion.json", "settings.json", "soft-bc.pt"]
     assert sorted(opened) == once
+
+
+class StepCounter:
+    """Values that show the memory (steps counted) and the flag; 1 more for action 2."""
+
+    def __init__(self) -> None:
+        self.previous_actions: list[Any] = []
+
+    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
+        count = np.zeros(len(observation)) if state is None else state[0]
+        self.previous_actions.append(None if state is None else state[1])
+        q_values = np.zeros((len(observation), 13)) + (10.0 * count + observation[:, -1])[:, None]
+        q_values[:, 2] += 1.0
+        return q_values, count + 1, False
+
+
+@pytest.mark.parametrize("focal", [None, "prey"])
+def test_action_values_follow_the_recorded_path(
+    focal: str | None, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The policy's memory goes on, its own last actions are the recorded ones, it sees the flag."""
+    counter, layout = StepCounter(), SimpleNamespace(condition_flag=True)
+    loaded = load_run(run.path)
+    vars(loaded)["settings"] = loaded.settings.model_copy(update={"focal": focal})
+    monkeypatch.setattr(Run, "policy", SimpleNamespace(policy=counter, layout=layout))
+    one = loaded.demos.select(split="test").select(episodes=[1])
+    columns = [2] if focal else [0, 1, 2]
+    values = loaded.action_values(1)
+    assert values.shape == (one.lengths[0] - 1, len(columns), 13)
+    counted = 10.0 * np.arange(len(values))[:, None, None] + float(one.condition[0])
+    np.testing.assert_allclose(values - counted, np.eye(13)[2] * np.ones_like(values))
+    actions = demonstrated_actions(one, loaded.species.locomotion)[:, columns]
+    told = np.array(counter.previous_actions[1:])
+    np.testing.assert_array_equal(told, np.maximum(actions, 0)[: len(told)])
+    refuses("there is no test episode 99: choose one of 0 to", loaded.action_values, 99)
+
+
+def test_action_values_are_what_the_policy_ranks_demonstrations_by(run: Run) -> None:
+    loaded = load_run(run.path)
+    model = loaded.learner(loaded.settings.algo, loaded.environment(loaded.learnable_demos))
+    loaded.load_policy(loaded.settings.algo, model)
+    shown = model.demonstrated_values(model.demonstration_data().val)
+    count = len(loaded.demos.select(split="val"))
+    values = np.concatenate([loaded.action_values(i, split="val") for i in range(count)])
+    for own, expected in zip(values.swapaxes(0, 1), shown.values, strict=True):
+        order = (np.lexsort(np.round(each.T, 3)) for each in (own, np.asarray(expected)))
+        first, second = order
+        np.testing.assert_allclose(own[first], np.asarray(expected)[second], atol=2e-3)
 
 
 def test_a_change_is_all_that_differs(run: Run) -> None:

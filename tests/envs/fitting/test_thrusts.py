@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +15,6 @@ from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_actions
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.recipes.registry import DQN
-from animarl_algos.runs.inspecting import action_labels, decide_along
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.joint import nearest_actions
 from animarl_envs.fitting.tracking import one_step_misses
@@ -149,16 +147,6 @@ def test_data_and_decisions_have_a_value_per_action() -> None:
     assert penalties.shape == (len(few.positions), 3, 37)
     acted = demonstrated_actions(few, species.locomotion)
     np.testing.assert_array_equal(penalties[acted >= 0].argmin(axis=1), acted[acted >= 0])
-
-    class Flat:
-        def advance(self, observation: Any, state: Any, episode_start: Any) -> Any:
-            return np.zeros((len(observation), 37)), np.zeros((len(observation), 1)), False
-
-    decisions = decide_along(Flat(), species, few, 0)
-    assert decisions.q.shape[1] == 37
-    labels = action_labels(37)
-    assert labels[0] == "1: towards focus" and labels[15] == "2: right" and labels[36] == "coast"
-    assert action_labels(13)[0] == "towards focus" and action_labels(13)[COAST] == "coast"
 
 
 def test_a_model_of_other_magnitudes_is_refused() -> None:
