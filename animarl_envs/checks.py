@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field, fields, is_dataclass
 from functools import cache
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -139,45 +139,3 @@ def check_names(place: str, what: str, names: Iterable[object]) -> None:
 
 def _is_negative(name: str) -> bool:
     return name[0] == "-" and name[1:].replace(".", "", 1).isdecimal()
-
-
-class FocusRule(NamedTuple):
-    """What each free animal is heading for, as kernels read it: see :func:`focus_rule`."""
-
-    kind: int
-    nearest: int = 0
-    x: float = 0.0
-    y: float = 0.0
-
-
-ON_COURSE, TO_NEAREST, ALONG, TO_POINT = range(4)
-
-
-def focus_rule(words: str) -> FocusRule:
-    """Return the rule for free animals that ``words`` name.
-
-    ``course``: its own; ``nearest``: the nearest other; ``centre K``: the centre of the K nearest;
-    ``direction X Y``: a fixed one; ``point X Y``: a place [arena unit].
-
-    Raises InputError if they name none.
-    """
-    name, *numbers = str(words).split()
-    try:
-        found = tuple(float(number) for number in numbers)
-    except ValueError:
-        found = (math.nan,)
-    if all(map(math.isfinite, found)):
-        if (name, len(found)) == ("course", 0):
-            return FocusRule(ON_COURSE)
-        if (name, len(found)) == ("nearest", 0):
-            return FocusRule(TO_NEAREST, 1)
-        if (name, len(found)) == ("centre", 1) and found[0] >= 1 and found[0] == int(found[0]):
-            return FocusRule(TO_NEAREST, int(found[0]))
-        if (name, len(found)) == ("direction", 2) and any(found):
-            return FocusRule(ALONG, 0, *found)
-        if (name, len(found)) == ("point", 2):
-            return FocusRule(TO_POINT, 0, *found)
-    raise InputError(
-        f"focus is {words!r}: choose 'course', 'nearest', 'centre K', 'direction X Y' or "
-        "'point X Y'"
-    )

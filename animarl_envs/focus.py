@@ -4,8 +4,7 @@ The focus of a pursuer is the target; the focus of the target is its nearest pur
 each frame (ties: the lower index). Where one pursues several, the focus of each target is the
 pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
 its focus is the fixed upwind direction. Where nobody is pursued each animal has its own course:
-where it has been going over the last second (:data:`COURSE`), or another rule that is named
-(:func:`animarl_envs.checks.focus_rule`).
+where it has been going over the last second (:data:`COURSE`).
 """
 
 import math
@@ -15,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import ALONG, TO_NEAREST, TO_POINT, FocusRule, focus_rule
 from animarl_envs.compiling import jit, part
 
 UPWIND = (-1.0, 0.0)
@@ -47,26 +45,8 @@ def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
 
 
 @part
-def aim(i, b, rule, position, course_x, course_y):  # type: ignore[no-untyped-def]
-    """The unit vector towards the focus of free animal ``i``; ``position`` is ``(K, 2, B)``."""
-    x, y, own_x, own_y = course_x, course_y, position[i, 0, b], position[i, 1, b]
-    if rule.kind == ALONG:
-        x, y = rule.x, rule.y
-    elif rule.kind == TO_POINT:
-        x, y = rule.x - own_x, rule.y - own_y
-    elif rule.kind == TO_NEAREST:
-        x, y, last, who = 0.0, 0.0, -1.0, -1
-        for _ in range(min(rule.nearest, position.shape[0] - 1)):
-            best, found = np.inf, -1
-            for j in range(position.shape[0]):
-                dx, dy = position[j, 0, b] - own_x, position[j, 1, b] - own_y
-                apart = dx * dx + dy * dy
-                farther = apart > last or (apart == last and j > who)
-                if j != i and farther and apart < best:
-                    best, found = apart, j
-            last, who = best, found
-            x += position[found, 0, b] - own_x
-            y += position[found, 1, b] - own_y
+def direction_of(x, y):  # type: ignore[no-untyped-def]
+    """Return the unit vector along ``(x, y)``; ``FALLBACK`` at zero length."""
     length = math.sqrt(x * x + y * y)
     if length > 0.0:
         return x / length, y / length
@@ -78,26 +58,24 @@ class Foci(NamedTuple):
 
     others: NDArray[np.bool_]  # (K, K), whose nearest it is
     otherwise: NDArray[np.float64]  # (K, 2), the direction without any, or at distance zero
-    free: bool  # then each goes by the rule instead
-    rule: FocusRule
+    free: bool  # then the focus of each is its course
     share: float  # of a step in a course
 
 
-def foci(roles: Sequence[str], dt: float = 1.0, rule: str = "course") -> Foci:
-    """Return the foci of individuals with ``roles``; of free ones by the words of a ``rule``."""
+def foci(roles: Sequence[str], dt: float = 1.0) -> Foci:
+    """Return the foci of individuals with ``roles``."""
     others, free = np.zeros((len(roles), len(roles)), dtype=bool), is_free(roles)
     if "target" in roles:
         others[:-1, -1] = others[-1, :-1] = True
     otherwise = np.tile(UPWIND if "searcher" in roles else FALLBACK, (len(roles), 1))
-    words = rule if free else "course"
-    return Foci(others, otherwise, free, focus_rule(words), share_of(COURSE, dt))
+    return Foci(others, otherwise, free, share_of(COURSE, dt))
 
 
 @part
 def face(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-def]
     """The unit vector towards the focus of individual ``i``; ``own`` are :class:`Foci`."""
     if own.free:
-        return aim(i, b, own.rule, position, course_x, course_y)
+        return direction_of(course_x, course_y)
     nearest, x, y = np.inf, own.otherwise[i, 0], own.otherwise[i, 1]
     for j in range(position.shape[0]):
         dx, dy = position[j, 0, b] - position[i, 0, b], position[j, 1, b] - position[i, 1, b]
@@ -129,15 +107,13 @@ def focus_directions(
     velocities: NDArray[np.floating] | None = None,
     steps: NDArray[np.integer] | None = None,
     dt: float = 1.0,
-    rule: str = "course",
 ) -> NDArray[np.float64]:
-    """Unit vectors towards the focus of each individual, ``(..., individuals, 2)``, arena frame.
+    """Return unit vectors towards the focus of each individual, ``(..., individuals, 2)``.
 
     ``positions`` are ``(..., individuals, 2)`` [arena unit]; of ``roles`` the target comes last, or
-    a pursuer of several targets (:func:`lone_pursuer`). The focus of a free animal follows a
-    ``rule`` (:func:`animarl_envs.checks.focus_rule`). Its course is told from its ``velocities``,
-    the ``steps`` since the start and their duration ``dt`` [s]; without them it has not moved yet.
-    Where the distance is zero the direction is ``FALLBACK``.
+    a pursuer of several targets (:func:`lone_pursuer`). The course of a free animal follows
+    from its ``velocities``, the ``steps`` since the start and their duration ``dt`` [s]; without
+    them it has not moved yet. Where the distance is zero the direction is ``FALLBACK``. Arena frame.
     """
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     frames = points.reshape(-1, *points.shape[-2:])
@@ -148,7 +124,7 @@ def focus_directions(
         for one in (frames, velocities)
     )
     towards = np.empty_like(place)
-    own, since = foci(roles, dt, rule), np.asarray(steps, dtype=np.int64)
+    own, since = foci(roles, dt), np.asarray(steps, dtype=np.int64)
     _face_frames(own, place, course, since, towards)
     return np.ascontiguousarray(towards.transpose(2, 0, 1)).reshape(points.shape)
 

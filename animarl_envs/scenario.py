@@ -215,8 +215,6 @@ def make_scenario(
             options.setdefault("free", True)
     with also_list_options_of(make_scenario):
         spec = with_options(spec, **options)
-    if loaded is not None and isinstance(spec, ChaseSpecies) and spec.free:
-        loaded = loaded if loaded.focus_rule == spec.focus else loaded.with_focus(spec.focus)
     selected = loaded
     if loaded is not None and split is not None:
         selected = loaded.select(split=split)

@@ -157,11 +157,6 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "a whole number, at least 0",
         "how many of its nearest neighbours a free animal sees",
     ),
-    "focus": (
-        "`'course'`, `'nearest'`, `'centre K'`, `'direction X Y'`, `'point X Y'`",
-        "what a free animal's actions and senses are relative to: its course, the nearest other, "
-        "the centre of the K nearest, a fixed direction, or a place",
-    ),
     "shoaling_reward": (
         "`True`, `False`",
         "whether a free animal is paid for time within the contact radius of another [s]",

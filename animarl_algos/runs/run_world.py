@@ -28,7 +28,6 @@ CHANGES_INPUTS = (
     "senses_heading",
     "neighbours",
     "free",
-    "focus",
 )
 """Options that say who is there and what is shown of them; others may change it, too."""
 
@@ -38,8 +37,6 @@ def select_individuals(demos: Demonstrations, options: Mapping[str, Any]) -> Dem
     for key in COUNTS:
         if options.get(key) is not None:
             demos = first_of_role(demos, key, options[key])
-    if options.get("focus") is not None:
-        demos = demos.with_focus(options["focus"])
     return demos
 
 

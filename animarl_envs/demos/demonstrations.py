@@ -170,17 +170,7 @@ class Demonstrations(Episodes):
     def focus(self) -> NDArray[np.float64]:
         """Return unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
         velocities, steps = self.velocities(), self.steps()
-        rule = self.focus_rule
-        return focus_directions(self.positions, self.roles, velocities, steps, self.dt, rule)
-
-    @property
-    def focus_rule(self) -> str:
-        """What free animals head for, see :func:`animarl_envs.checks.focus_rule`."""
-        return str(self.provenance.get("focus", "course"))
-
-    def with_focus(self, rule: str) -> Self:
-        """Return the same recordings of free animals that head for something else."""
-        return replace(self, provenance={**self.provenance, "focus": rule})
+        return focus_directions(self.positions, self.roles, velocities, steps, self.dt)
 
     def headings(self) -> NDArray[np.float64] | None:
         """Return recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].

@@ -225,7 +225,7 @@ def _sine(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
 
 
 def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:
-    key = fit.__name__, demos.fingerprint() + demos.focus_rule, number
+    key = fit.__name__, demos.fingerprint(), number
     if key not in _FITS:
         _FITS[key] = fit(training_episodes(demos), number)
     return _FITS[key]
@@ -285,7 +285,6 @@ def _plain_species(demos: Demonstrations) -> Species:
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
         free=is_free(demos.roles),
-        focus=demos.focus_rule,
         neighbours=seen if (seen := _recipe(demos).get("neighbours")) is not None else 4,
         senses_compass=not is_free(demos.roles),
         **common,

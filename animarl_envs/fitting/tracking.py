@@ -67,7 +67,7 @@ def track(
     )
     paths, speeds = np.empty_like(recorded), np.empty_like(velocity)
     actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
-    course, own_foci = velocity_now.copy(), foci(demos.roles, demos.dt, demos.focus_rule)
+    course, own_foci = velocity_now.copy(), foci(demos.roles, demos.dt)
     damping = np.array([own.damping for own in locomotion])
     thrust = np.array([own.thrust for own in locomotion])
     pushes = np.stack([own.action_vectors for own in locomotion])
@@ -96,9 +96,7 @@ def one_step_misses(
     recorded, recorded_velocity = demos.positions, demos.velocities()
     positions = recorded if tracking is None else tracking.positions
     velocities = recorded_velocity if tracking is None else tracking.velocities
-    focus = focus_directions(
-        positions, demos.roles, velocities, demos.steps(), dt, demos.focus_rule
-    )
+    focus = focus_directions(positions, demos.roles, velocities, demos.steps(), dt)
     misses = np.zeros((*positions.shape[:2], locomotion[0].num_actions))
     for i, own in enumerate(locomotion):
         for action in range(own.num_actions):

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from animarl_envs.checks import ZeroOrMore, focus_rule
+from animarl_envs.checks import ZeroOrMore
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, turnings_of
@@ -37,7 +37,6 @@ class ChaseSpecies(Species):
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
     free: bool = False  # nobody is pursued: each goes its own way, and contact ends nothing
     neighbours: ZeroOrMore = 4  # how many of the others a free animal sees, the nearest
-    focus: str = "course"  # what a free animal's x axis points at: see checks.focus_rule
     shoaling_reward: bool = (
         False  # pays a free animal for time within the contact radius of another
     )
@@ -46,9 +45,6 @@ class ChaseSpecies(Species):
         super().__post_init__()
         if self.num_individuals < 2 and not self.free:
             raise InputError("a chase needs at least one pursuer and a target: name them both")
-        focus_rule(self.focus)
-        if self.focus != "course" and not self.free:
-            raise InputError(f"focus is {self.focus!r} but {self.goal} is pursued: leave it out")
         if self.free and self.lone_pursuer:
             raise InputError("free animals have no pursuer: leave lone_pursuer out")
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.checks import FocusRule, focus_rule
 from animarl_envs.compiling import jit, joint, part
-from animarl_envs.focus import COURSE, FALLBACK, aim, averaged
+from animarl_envs.focus import COURSE, FALLBACK, averaged, direction_of
 from animarl_envs.species import COMPACT, ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (
@@ -67,7 +66,6 @@ class Senses(NamedTuple):
     limit: int  # of an episode [steps]
     shares: NDArray[np.float64]  # of a step in each average of the past
     dt: float  # [s]
-    rule: FocusRule  # of free animals
 
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
@@ -87,7 +85,6 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         scales.time_limit,
         past_shares(species),
         species.dt,
-        focus_rule(species.focus),
     )
 
 
@@ -133,7 +130,7 @@ def observe(  # type: ignore[no-untyped-def]
             _face(i, others, towards)
         else:
             faced = 0
-            _update_course(i, position, velocity, past, steps, senses, towards)
+            _update_course(i, velocity, past, steps, senses, towards)
             seen = look_around(i, neighbours) if observers[i] else 0
         if not observers[i]:
             continue
@@ -166,14 +163,14 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
 
 
 @part
-def _update_course(i, position, velocity, past, steps, senses, towards):  # type: ignore[no-untyped-def]
+def _update_course(i, velocity, past, steps, senses, towards):  # type: ignore[no-untyped-def]
     """Set the focus direction of a free animal, by its mean velocity up to the present."""
     share = senses.shares[ON_COURSE]
     for b in range(velocity.shape[2]):
         mx, my = past[ON_COURSE, i, 0, b], past[ON_COURSE, i, 1, b]
         dx = averaged(mx, velocity[i, 0, b], share, steps[b])
         dy = averaged(my, velocity[i, 1, b], share, steps[b])
-        towards[i, 0, b], towards[i, 1, b] = aim(i, b, senses.rule, position, dx, dy)
+        towards[i, 0, b], towards[i, 1, b] = direction_of(dx, dy)
 
 
 @part

@@ -128,11 +128,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         ((0.5, None, None), "turning of dog_a is 0.5: give a Turning"),
     )),
     ("custom", {"demos": dogs(2), "senses_heading": 1}, "senses_heading is 1: choose True or Fal"),
-    # what is seen, and where free animals face
+    # what is seen
     ("fly", {"observation": "rich"}, "observation is 'rich': choose one of 'compact', 'full', 'pa"),
-    *(("shoal", {"focus": rule}, "choose 'course', 'nearest', 'centre K'")
-      for rule in ("prey", "centre", "centre 0", "direction 0 0", "point 1 x")),
-    ("agent", {"focus": "nearest"}, "focus is 'nearest' but prey is pursued"),
     # observations that would be infinite
     *(("agent", {"demos": None, "observation": "full"} | options, "float32 cannot hold: choose")
       for options in (

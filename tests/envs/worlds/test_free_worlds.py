@@ -13,7 +13,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.fitting.joint import joint_locomotion
-from animarl_envs.fitting.tracking import one_step_misses, track
+from animarl_envs.fitting.tracking import track
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, observation_components
@@ -56,35 +56,6 @@ def test_world_labels_and_tracking_have_one_focus(animals: int) -> None:
     for before, one in enumerate(velocity[1:], start=1):  # the first few count alike
         mean = mean + (one - mean) * max(DT / COURSE, 1.0 / (1.0 + before))
     np.testing.assert_allclose(focus[first + 4, 0], mean / np.linalg.norm(mean))
-
-
-@pytest.mark.parametrize(
-    "rule", ["nearest", "centre 3", "direction 0 -2", "point 0.2 0.3"], ids=lambda rule: rule[:5]
-)
-def test_focus_rules_hold_in_world_labels_and_tracking(rule: str) -> None:
-    """Each rule has one meaning: that of a plain calculation."""
-    demos = group(6)
-    drivers = dict.fromkeys(demos.individuals, "replay")
-    scenario = make_scenario("custom", demos=demos, split="train", drivers=drivers, focus=rule)
-    world = begun(scenario)
-    assert scenario.demos is not None and scenario.demos.focus_rule == rule
-    focus, first = scenario.demos.focus(), int(scenario.demos.offsets[world.demo[0]])
-    for t in range(5):
-        place = world.position[0]
-        apart = np.linalg.norm(place[:, None] - place, axis=-1)
-        k = {"nearest": 1, "centre 3": 3}.get(rule, 0)
-        near = place[apart.argsort(axis=1)[:, 1 : 1 + k]].mean(axis=1) if k else place
-        aim = {"direction 0 -2": np.tile([0.0, -2.0], (6, 1)), "point 0.2 0.3": [0.2, 0.3] - place}
-        expected = aim.get(rule, near - place)
-        expected = expected / np.linalg.norm(expected, axis=-1, keepdims=True)
-        np.testing.assert_allclose(world.towards[0], expected, atol=1e-12)
-        np.testing.assert_allclose(focus[first + t], expected, atol=1e-12)
-        world.step(np.zeros((1, 6), dtype=np.int64))
-    # Tracking takes its first actions from the recorded state, as labels do.
-    followed = track(scenario.demos, scenario.species.locomotion)
-    misses = one_step_misses(scenario.demos, scenario.species.locomotion)
-    starts = scenario.demos.offsets[:-1]
-    np.testing.assert_array_equal(followed.actions[starts], misses[starts].argmin(axis=-1))
 
 
 def test_the_nearest_few_do_not_depend_on_what_was_seen_before() -> None:
