@@ -108,12 +108,12 @@ def focus_directions(
     steps: NDArray[np.integer] | None = None,
     dt: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Return unit vectors towards the focus of each individual, ``(..., individuals, 2)``.
+    """Return unit vectors to each individual's focus, ``(..., individuals, 2)``, arena frame.
 
     ``positions`` are ``(..., individuals, 2)`` [arena unit]; of ``roles`` the target comes last, or
     a pursuer of several targets (:func:`lone_pursuer`). The course of a free animal follows
     from its ``velocities``, the ``steps`` since the start and their duration ``dt`` [s]; without
-    them it has not moved yet. Where the distance is zero the direction is ``FALLBACK``. Arena frame.
+    them it has not moved yet. Where the distance is zero the direction is ``FALLBACK``.
     """
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     frames = points.reshape(-1, *points.shape[-2:])

@@ -605,7 +605,7 @@ class Run:
         one, policy = demos.select(episodes=[episode]), self.policy
         columns = [one.individuals.index(name) for name in self.learned_individuals]
         observations = demonstration_observations(self.species, one)[:, columns]
-        if self.told_condition:
+        if self.has_condition_flag:
             flag = np.full((*observations.shape[:2], 1), one.condition[0], dtype=np.float32)
             observations = np.concatenate([observations, flag], axis=2)
         actions = demonstrated_actions(one, self.species.locomotion).astype(np.int64)[:, columns]

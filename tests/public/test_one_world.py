@@ -102,7 +102,7 @@ def test_one_world_to_learn_and_to_act_in(name: str, env_id: str, tmp_path: Path
     if kind.recipe.needs_distance or kind.recipe.needs_alignment or kind.recipe.needs_condition:
         refuses(rf'{kind.recipe.name}.*SlotVecEnv\("', kind, "MlpPolicy", env_id, **given)
         return
-    if not kind.recipe.online or RECIPES[name].pretrained or kind.recipe.inverse:
+    if not kind.recipe.online or RECIPES[name].pretrained:
         small_phase = {"sequence_length": 4, "updates_per_epoch": 2, "passes_per_epoch": None}
         given |= {"offline_epochs": 1, "offline_kwargs": small_phase, "offline_batch_size": 4}
     model = kind("MlpPolicy", env_id, **given)
