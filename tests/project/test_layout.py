@@ -64,7 +64,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("animarl_algos.evaluation", "animarl_algos.runs.evaluating"): LAZY,
 }
 
-LONGEST = 600  # lines of a file: one idea, and one class, a file
+LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 1_430,
     "animarl_algos.benchmark": 10_700,
@@ -81,7 +81,7 @@ BUDGETS = {
     "animarl_algos.whatif": 17_000,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 14_450,
-    "animarl_envs.demos": 8_350,
+    "animarl_envs.demos": 8_500,
     "animarl_envs.drawing": 9_590,
     "animarl_envs.fitting": 19_140,
     "animarl_envs.importing": 52_200,
