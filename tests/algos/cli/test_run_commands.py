@@ -111,7 +111,7 @@ def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
     tracked = replace(few(), provenance={**few().provenance, "synthetic": False})
     run = made(tmp_path, "dqdil-pt", demos=tracked, baselines=True)
     policies = contents(run.path / "policies")
-    said = succeeded(animarl("evaluate", run.path, "--out", "eval"))
+    said = succeeded(animarl("evaluate", run.path, "--out", "eval", "--details"))
     assert "no trained BC to compare with" in said
     assert "Simulated against recorded" in said and "demonstrat" not in said
     assert f"animarl run few.npz --algo dqdil-pt --seed 0 --out {run.path}" in said
