@@ -1,6 +1,6 @@
 """A page: blocks, templates, style sheets and scripts in one file that loads nothing.
 
-Whatever makes a page (a run, a counterfactual, an episode, a leaderboard) gives blocks; nothing
+Whatever makes a page (a run, a what-if) gives blocks; nothing
 here knows what they say.
 """
 
