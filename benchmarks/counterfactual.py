@@ -237,7 +237,10 @@ def shifts(
     parts = []
     for algo in learners:
         runs = [load_run(cells / f"{species}-{algo}-{seed}") for seed in seeds]
-        nulls = permuted_runs(runs[0], cells / f"{species}-{algo}-permuted", permutations)
+        nulls: list[Run] = []
+        if permutations:
+            folder = cells / f"{species}-{algo}-permuted"
+            nulls = permuted_runs(runs[0], folder, permutations)
         found = ask(
             runs,
             [f"condition={name}" for name in runs[0].species.conditions],

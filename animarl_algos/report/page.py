@@ -1,7 +1,6 @@
 """A page: blocks, templates, style sheets and scripts in one file that loads nothing.
 
-Whatever makes a page (a run, a what-if) gives blocks; nothing
-here knows what they say.
+Whatever makes a page (a run, a what-if) gives blocks; nothing here knows what they say.
 """
 
 import base64
