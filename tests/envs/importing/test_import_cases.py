@@ -64,9 +64,44 @@ CASES: dict[str, Expected] = {
     "trx.mat": Expected(individuals="1 2", rate=30, unit="mm", prints=("theta",)),
     "ft-track.mat --fps 30": Expected(individuals="1 2", rate=30, frames=399, unit="px"),
     "ctrax.mat": Expected(individuals="0 1", rate=30, unit="px", prints=("angle",)),
+    **{
+        f"late_{first}.csv --fps 30": Expected(
+            individuals="fish0 fish1 fish2 fish3", rate=30, prints=("10 from 1 recording",)
+        )
+        for first in (0, 5000, 7000)
+    },
+    "solo0.csv solo1.csv solo2.csv --fps 25 --target none": Expected(
+        individuals="individual_0", rate=25, recordings=3,
+        prints=("larva0, larva1, larva2 are each alone",),
+    ),
+    "fs_whole.csv --target none": Expected(
+        individuals="a0 a1", rate=25, prints=("25 frames/s, from the column time",)
+    ),
+    "fs_tenth60.csv --target none": Expected(individuals="a0 a1", rate=60),
+    "slow_4h.csv --target none": Expected(
+        individuals="0 1", rate=1 / 14400, prints=("one frame every 14400 s, from the column",)
+    ),
+    "ft_min.csv --target none --option time_unit=min": Expected(individuals="a0 a1", rate=25),
+    "ms500.csv --option time_unit=ms": Expected(individuals="m", rate=500),
+    "epoch_ms240.csv --option time_unit=ms": Expected(individuals="m", rate=240),
+    "time_is_frames.csv --option frame=time --fps 25": Expected(individuals="m", rate=25),
+    "d_minus1.csv --fps 30": Expected(
+        individuals="animal0", rate=30, extent=97.64, prints=("(-1, -1) (10 points)",)
+    ),
+    "miss_9999.csv --fps 25": Expected(
+        individuals="0 1", rate=25, extent=169.9, prints=("(9999, 9999) (60 points)",)
+    ),
+    "zeros.csv --fps 25": Expected(
+        individuals="a b", rate=25, prints=("(0, 0) (60 points)",)
+    ),
 }  # fmt: skip
 REFUSED: dict[str, tuple[str, ...]] = {
     "ft-track.mat": ("frame rate", "--fps"),
+    "once_each.csv --fps 25": ("no animal is seen in two frames",),
+    "ft_min.csv": ("1500 frames/s", "--option time_unit=min (25 frames/s)"),
+    "ms500.csv": ("0.5 frames/s", "--option time_unit=ms (500 frames/s)"),
+    "epoch_ms240.csv": ("no unit is stated", "--option time_unit=ms (239.8 frames/s)"),
+    "time_is_frames.csv": ("1 frames/s", "--option frame=time --fps"),
 }
 
 
