@@ -200,7 +200,8 @@ def refuse_uneven_frames(
 
 def rounding(time: Floats) -> float:
     """Return the power of ten to which times [s] are rounded, a microsecond at least."""
-    kept = (digits for digits in range(6) if np.abs(time - time.round(digits)).max() < 1e-7)
+    exact = max(1e-7, 2 * float(np.spacing(np.abs(time).max())))
+    kept = (digits for digits in range(6) if np.abs(time - time.round(digits)).max() < exact)
     return float(10.0 ** -next(kept, 6))
 
 

@@ -23,7 +23,6 @@ FEW = 0.01  # share of likelihoods beyond these, or of short rests of animals ne
 MANY = 10  # frames in one place
 MOST_PLACES = 5  # that are tried because they recur most
 APART = 2.0  # usual longest steps from a mark to the nearest other position
-FAR = 8.0  # usual longest steps by which an animal that may rest leaves the place where it was lost
 HELD = "the place before, held"
 
 
@@ -102,8 +101,8 @@ def _find_marks(points: Sequence[Points]) -> Points:
 def _find_held(points: Sequence[Points]) -> list[Mask]:
     """Return where a tracker repeats the last place: still for many frames, then off by a jump.
 
-    Animals whose measured positions always vary a little do not stand still at all. If one such
-    stretch of an import ends by a jump, the others are taken alike.
+    Only where measured positions vary a little at nearly all other times: elsewhere animals at rest
+    may stand still, and start.
     """
     held = [np.zeros(own.shape, dtype=bool) for own in points]
     steps = _steps(points, [np.isfinite(own) for own in points])
@@ -114,21 +113,15 @@ def _find_held(points: Sequence[Points]) -> list[Mask]:
             edges = np.flatnonzero(np.diff(np.concatenate([[0], same[:, track], [0]])))
             for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
                 if stop - start < MANY:
-                    short += stop - start
+                    short += int(stop - start)
                 else:
                     stretches.append((number, int(track), start, stop))
-    if not stretches or not len(steps):
+    if not stretches or not len(steps) or short > FEW * len(steps):
         return held
-    varying = short <= FEW * len(steps)
-    reach = (APART if varying else FAR) * float(np.quantile(steps, 0.99))
+    reach = APART * float(np.quantile(steps, 0.99))
 
-    def jumps(number: int, track: int, start: int, stop: int) -> bool:
-        own = points[number][:, track]
-        return stop < len(own) and bool(np.abs(own[stop] - own[start]) > reach)
-
-    left = [jumps(*stretch) for stretch in stretches]
-    for stretch, jumped in zip(stretches, left, strict=True):
-        if jumped or (varying and any(left)):
-            number, track, start, stop = stretch
-            held[number][start:stop, track] = True
+    for number, column, start, stop in stretches:
+        own = points[number][:, column]
+        if stop < len(own) and np.abs(own[stop] - own[start]) > reach:
+            held[number][start:stop, column] = True
     return held

@@ -243,7 +243,8 @@ def test_import_of_termite_pairs_cut_from_three_to_one_body_length(
         demos = follow(ImportRecipe.from_dict(recipe), [path])
         counts[kind] = demos.num_episodes
         assert demos.roles == ("pursuer", "target") and demos.individuals == ("male", "female")
-    assert counts == ({"Cf": 82, "Rs": 58} if as_recorded else {"Cf": 75, "Rs": 57})
+    # Two approaches lead through frames in which a termite was lost: held for 28, or at (0, 0).
+    assert counts == ({"Cf": 80, "Rs": 58} if as_recorded else {"Cf": 73, "Rs": 57})
 
 
 @pytest.mark.realdata
