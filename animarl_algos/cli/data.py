@@ -311,7 +311,7 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
 def write_long_table(demos: Demonstrations, out: Path) -> None:
     """Write a row per frame and individual, as the long-table reader takes it."""
     rows = (
-        {"recording": f"{one.recording}/{one.index}", "frame": frame, "time": frame * one.dt}
+        {"recording": f"{one.recording}/{one.index}", "frame": frame, "time_s": frame * one.dt}
         | {"id": who, "x": x, "y": y}
         for one in demos
         for frame, bodies in enumerate(one.positions.tolist())

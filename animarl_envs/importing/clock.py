@@ -24,7 +24,7 @@ LARGEST_FRAME = 2**31
 CLEARLY = 0.1  # of a frame: how far a step is from whole frames that tells the rate
 ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
 FEW_FRAMES = 3  # steps of more do not tell the rate
-PAUSES = 0.1  # share of steps from frame to frame that may take another time, as of a paused camera
+PAUSES = 0.5  # share of steps from frame to frame that may take another time, as of a paused camera
 IRREGULAR, MANY = 0.01, 20  # share and number of steps off whole frames: fewer are wrong times
 LONGEST_STEP = 2.5  # usual steps; longer ones of an irregular clock are gaps
 FINE = 5  # roundings in a usual step; fewer do not tell a clock that ticks unevenly
@@ -117,8 +117,8 @@ def _rate_of_frames(
 ) -> tuple[float, float]:
     """Return the frame rate [Hz] of rows with a frame number and a time [s] each, and the residual.
 
-    A line through all frames gives it, since single steps of rounded times are too long or too
-    short. Steps that even rounding does not explain, as of a paused camera, cut the line.
+    A line through all frames with a new time gives it, since single steps of rounded times are too
+    long or too short. Steps that even rounding does not explain, as of a paused camera, cut it.
     """
     before, after = _neighbours(group, frames)
     steps, passed = frames[after] - frames[before], time[after] - time[before]
@@ -140,17 +140,23 @@ def _rate_of_frames(
             f"{path}: its times do not keep step with its frame numbers: correct them, or give "
             "--option fps=... to count frames alone"
         )
-    line = np.concatenate([[0], np.cumsum(~even)])
-    ends = np.stack([np.append(before[even], after[even]), np.tile(line[:-1][even], 2)])
-    row, line = np.unique(ends, axis=1)
-    size = np.maximum(np.bincount(line), 1)
-    x, y = (
-        values[row] - (np.bincount(line, values[row]) / size)[line] for values in (frames, time)
-    )
-    whole = _whole(float((x * x).sum() / (x * y).sum()))
     count, lasted = int(steps[use].sum()), float(passed[use].sum())
+    residual = float((off[use] / usual).max())
+    line = np.cumsum(~even)[even & rising]  # of frames in which the time is another than before
+    row = after[even & rising]
+    x, y = (_centred(values[row].astype(np.float64), line) for values in (frames, time))
+    slope = float((x * x).sum() / (x * y).sum()) if np.ptp(x) > 0 else count / lasted
+    whole, coarse = _whole(slope), digit * slope > 1
     fits = abs(count / whole - lasted) <= digit * (int(group.max()) + 1)
-    return whole if fits else _rounded(count / lasted), float((off[use] / usual).max())
+    if fits and (not coarse or np.abs(x / whole - y).max() <= 1 / whole):
+        return whole, residual
+    return _rounded(slope if coarse else count / lasted), residual
+
+
+def _centred(values: Floats, line: Whole) -> Floats:
+    """Return values without the mean of each line."""
+    size = np.maximum(np.bincount(line), 1)
+    return np.asarray(values - (np.bincount(line, values) / size)[line])
 
 
 def _whole(rate: float) -> float:

@@ -55,6 +55,7 @@ USUAL_NAMES = {
     "confidence": ("confidence likelihood score probability prob",),
 }
 CLOCKS = ("frame", "time")
+SECONDS = ("seconds", "secs", "sec")  # names of columns of times that state their unit
 DEGREES = "deg"  # the unit of longitudes and latitudes
 LENGTHS = {"px", "mm", "cm", "m", "um", "inch"}
 _WORDS = r"pos|position|coord|coordinate|centroid|center|centre|loc|location|wcentroid"
@@ -240,7 +241,8 @@ def _parts_by_name(known: Sequence[Named]) -> tuple[dict[str, str], list[str]]:
         if len(best) == 1:
             parts[part] = best[0].column
             if part == "time":
-                parts["time_unit"] = best[0].unit or best[0].key[len(best[0].clock) :].strip("[]()")
+                unit = best[0].unit or best[0].key[len(best[0].clock) :].strip("[]()")
+                parts["time_unit"] = unit or "s" * (best[0].clock in SECONDS)
         elif best:
             unclear.append(part)
     return parts, unclear

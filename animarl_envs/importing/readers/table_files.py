@@ -86,7 +86,7 @@ def read_long_table(
 ) -> list[Tracks]:
     """Read one or more recordings; frames are whole numbers, missing rows are gaps.
 
-    ``time`` names a column of times (numbers in ``time_unit``, by default seconds, or ISO 8601)
+    ``time`` names a column of times (numbers in ``time_unit``, or ISO 8601)
     that stands in for ``frame``; without ``fps`` it gives the frame rate as well. Frame 0 is the
     earliest time of each recording.
 
