@@ -135,15 +135,16 @@ def _rate_of_frames(
     off = np.maximum(np.abs(passed - usual * steps) - 1.01 * digit, 0.0)
     even = off <= UNEVEN * usual * steps
     use = even & (steps > 0)
-    if np.count_nonzero(use) < (1 - PAUSES) * np.count_nonzero(steps):
+    count, lasted = int(steps[use].sum()), float(passed[use].sum())
+    if lasted <= 0 or np.count_nonzero(use) < (1 - PAUSES) * np.count_nonzero(steps):
         raise InputError(
             f"{path}: its times do not keep step with its frame numbers: correct them, or give "
             "--option fps=... to count frames alone"
         )
-    count, lasted = int(steps[use].sum()), float(passed[use].sum())
     residual = float((off[use] / usual).max())
-    line = np.cumsum(~even)[even & rising]  # of frames in which the time is another than before
-    row = after[even & rising]
+    cuts = ~even
+    cuts[1:] |= np.diff(group[before]) != 0
+    line, row = np.cumsum(cuts)[even & rising], after[even & rising]
     x, y = (_centred(values[row].astype(np.float64), line) for values in (frames, time))
     slope = float((x * x).sum() / (x * y).sum()) if np.ptp(x) > 0 else count / lasted
     whole, coarse = _whole(slope), digit * slope > 1
