@@ -1,4 +1,4 @@
-"""Following a recipe: tracks are cleaned, scaled, cut, thinned and dealt to the splits."""
+"""Turn tracks into demonstrations by a recipe: clean, scale, cut, thin and split them."""
 
 import math
 import warnings
@@ -176,7 +176,7 @@ def demonstrations_from_tracks(
             **({} if most == len(individuals) else {"animals_tracked": most}),
             **({} if used >= NEARLY_ALL * tracked else {"share_used": used / tracked}),
             **({} if cutting == recipe.cutting else {"contact_radius": cutting.contact}),
-            **sessions.told(),
+            **sessions.provenance(),
         },
         name=name,
     )
@@ -189,8 +189,8 @@ def _cleaned(
     cleaned, done = [], {}
     likely = default_confidence(named)
     for tracks in named:
-        tracks, told = clean(tracks, recipe.cleaning, likely)
-        done[tracks.recording] = told | {"episodes": 0, "too_short": 0}
+        tracks, steps = clean(tracks, recipe.cleaning, likely)
+        done[tracks.recording] = steps | {"episodes": 0, "too_short": 0}
         per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         if per_cm is not None:
             require(
@@ -211,7 +211,7 @@ def _stated_rates(recordings: Sequence[Tracks], recipe: ImportRecipe) -> dict[st
 
 
 def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> dict[str, Any]:
-    """Where the recordings come from: as the recipe states, else as their files do."""
+    """Return where recordings come from: as the recipe states, else as their files do."""
     first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
     stated = {} if recipe.licence == NOT_STATED else {"licence": recipe.licence}
     return {
@@ -227,7 +227,7 @@ def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> di
 def _why_none(
     recordings: Sequence[Tracks], roles: tuple[str, ...], cutting: Cutting, arena_unit: str
 ) -> str:
-    """Why there is no episode, and what to do."""
+    """Return why there is no episode, and what to do."""
     contact = cutting.contact
     if contact and cutting.mode == "whole" and TARGET in roles:
         distances = [distances_to_target(one.bodies, roles).min(axis=1) for one in recordings]
@@ -256,7 +256,7 @@ def _why_none(
 def _contact(
     scaled: Sequence[Tracks], roles: tuple[str, ...], recipe: ImportRecipe
 ) -> float | None:
-    """As stated, or where recordings are taken whole the distance that ends them.
+    """Return the contact distance as stated, or the distance that ends whole recordings.
 
     Stretches too short for an episode say nothing about how recordings end.
     """
@@ -289,7 +289,7 @@ def _ends(cutting: Cutting, recordings: Sequence[Tracks], outcome: NDArray[Any])
 def _cuts(
     scaled: Sequence[Tracks], roles: tuple[str, ...], recipe: ImportRecipe
 ) -> list[list[Cut]]:
-    """The episodes of each recording; a lone long recording is cut in pieces, see ``Cutting``.
+    """Return the episodes of each recording; a lone long recording is cut in pieces.
 
     The outcome that a file states is that of its recording if this is one episode.
     """
@@ -324,7 +324,7 @@ def _cuts(
 
 
 def _episode(tracks: Tracks, cut: Cut, recipe: ImportRecipe) -> dict[str, Any]:
-    """One episode at the decision rate; its first sample only serves to make the first velocity.
+    """Return an episode at the decision rate; its first sample only makes the first velocity.
 
     Events are united over the frames of the step that led to each sample.
     """

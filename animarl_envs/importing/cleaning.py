@@ -142,7 +142,7 @@ def clean(
 
 
 def _headings(tracks: Tracks, positions: Floats, settings: Cleaning) -> Floats | None:
-    """Headings ``(frames, individuals)`` [rad] from two keypoints, or as the file has them."""
+    """Return headings ``(frames, individuals)`` [rad] from two keypoints or the file."""
     if settings.heading is not None:
         rear, front = (
             _body_positions(positions, tracks.keypoints, name, f"{tracks.recording}, heading")
@@ -151,14 +151,14 @@ def _headings(tracks: Tracks, positions: Floats, settings: Cleaning) -> Floats |
         apart = front - rear
         angle = np.arctan2(apart[..., 1], apart[..., 0])
         return np.where((apart == 0.0).all(axis=-1), np.nan, angle)
-    told = tracks.signals.get(HEADING)
-    if told is None or told.shape != (len(tracks), len(tracks.individuals)):
+    stated = tracks.signals.get(HEADING)
+    if stated is None or stated.shape != (len(tracks), len(tracks.individuals)):
         return None  # one column for all is handed on as it is
-    return told.astype(np.float64)
+    return stated.astype(np.float64)
 
 
 def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """The first of the flagged frames: frame, time [s] and names."""
+    """Return the first of the flagged frames: frame, time [s] and names."""
     rate = tracks.frame_rate or 1.0
     return [
         {"frame": tracks.start + frame, "time": round((tracks.start + frame) / rate, 3),
@@ -170,7 +170,7 @@ def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
 def _body_positions(
     positions: Floats, keypoints: tuple[str, ...], keypoint: str, name: str
 ) -> Floats:
-    """One position per individual ``(frames, individuals, 2)`` from all keypoints."""
+    """Return one position per individual ``(frames, individuals, 2)`` from all keypoints."""
     if keypoint in keypoints:
         return positions[:, :, keypoints.index(keypoint)].copy()
     require(
@@ -187,7 +187,7 @@ def _body_positions(
 
 
 def find_jumps(bodies: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Suspect frames: ``(n, 2)`` (frame, individual) after a far jump, ``(m, 3)`` (frame, i, j).
+    """Return jumps ``(n, 2)`` (frame, individual) and identity swaps ``(m, 3)`` (frame, i, j).
 
     A swap is a pair whose tracks fit better exchanged: each lands nearer to the other's last place,
     by less than half the way.
@@ -211,7 +211,7 @@ def find_jumps(bodies: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def fill_gaps(
     values: Floats, longest: int, way: Callable[[Floats, Floats], Floats] = np.subtract
 ) -> tuple[Floats, int]:
-    """Even ways over inner gaps of at most ``longest`` frames; the count of frames filled.
+    """Fill inner gaps of at most ``longest`` frames evenly; return values and frames filled.
 
     ``values`` are ``(frames, individuals, ...)``, NaN where not known; of angles ``way`` is
     :func:`shorter_turn`.
@@ -231,7 +231,7 @@ def fill_gaps(
 
 
 def smooth(bodies: Floats, cutoff: float, frame_rate: float, name: str = "tracks") -> Floats:
-    """Zero-phase Butterworth low-pass of first order, on each stretch without gaps.
+    """Apply a zero-phase Butterworth low-pass of first order to each stretch without gaps.
 
     The two passes together halve the power twice: the amplitude at the cutoff is 1/2.
     """
@@ -254,7 +254,7 @@ def smooth(bodies: Floats, cutoff: float, frame_rate: float, name: str = "tracks
 
 
 def runs(mask: NDArray[np.bool_] | np.bool_) -> list[tuple[int, int]]:
-    """First and one-past-last index of each run of True."""
+    """Return the first and one-past-last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, dtype=np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -265,7 +265,7 @@ def resample(
     decision_rate: float,
     way: Callable[[Floats, Floats], Floats] = np.subtract,
 ) -> Floats:
-    """Values at decision times, by even ways between frames where the rates do not divide.
+    """Return values at decision times, interpolated where the rates do not divide.
 
     The first frame keeps its time, so nothing is shifted. ``way`` is as for :func:`fill_gaps`.
     """
@@ -320,18 +320,18 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Scale:
-    """``p' = (p - centre) / unit``, then y times ``y_sign``: one recording's way to the arena."""
+    """Map positions to the arena: ``p' = (p - centre) / unit``, then y times ``y_sign``."""
 
     centre: tuple[float, float]
     unit: float  # of the file per arena unit
     y_sign: float
 
     def to_arena(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
-        """From the file's unit to arena units, ``(..., 2)``."""
+        """Convert positions ``(..., 2)`` from the file's unit to arena units."""
         return np.asarray((positions - np.array(self.centre)) / self.unit * [1.0, self.y_sign])
 
     def apply(self, tracks: Tracks) -> Tracks:
-        """The recording in arena units, its headings, if it has some, counter-clockwise."""
+        """Return the recording in arena units, with headings counter-clockwise."""
         signals = dict(tracks.signals)
         if HEADING in signals and self.y_sign < 0:
             signals[HEADING] = -np.asarray(signals[HEADING], dtype=np.float64)
@@ -342,7 +342,7 @@ class Scale:
 def scales_of(
     recordings: Sequence[Tracks], settings: Scaling, searched: bool = False
 ) -> list[Scale]:
-    """The scale of each recording (one keypoint per individual): one for all, or each its own.
+    """Return the scale of each recording (one keypoint per individual): one for all, or its own.
 
     ``searched`` says that a source is at the origin, which then stays in its place.
     """
@@ -353,7 +353,7 @@ def scales_of(
 
 
 def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = False) -> Scale:
-    """The scale of recordings whose extent is taken together."""
+    """Return the common scale of recordings."""
     first = recordings[0]
     sign = -1.0 if first.y_down else 1.0
     is_open = settings.shape == "open"

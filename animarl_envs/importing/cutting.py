@@ -1,4 +1,4 @@
-"""Cutting recordings into episodes, and who is the pursuer and who the target.
+"""Cut recordings into episodes, and find the pursued individual.
 
 All distances are in arena units, after scaling; cuts and outcomes are decided at the recorded rate.
 """
@@ -140,7 +140,7 @@ def cut_episodes(
                 found.append(_until_contact(distance[start:stop], settings.contact, start))
         if found and found[-1].outcome == UNFINISHED:
             last = found[-1].stop - 1
-            end = _meaning(settings.ends, bodies[last], distance[last], roles)
+            end = _outcome_at_end(settings.ends, bodies[last], distance[last], roles)
             found[-1] = replace(found[-1], outcome=end)
     kept = []
     for cut in found:
@@ -158,7 +158,7 @@ def cut_episodes(
 def in_pieces(
     cuts: Sequence[Cut], frame_rate: float, piece: float, every: float = 1.0
 ) -> list[Cut]:
-    """Episodes of at most ``piece`` seconds.
+    """Cut episodes into pieces of at most ``piece`` seconds.
 
     Neighbours share a frame and begin at decisions (each ``every`` frames), so no step is lost.
     """
@@ -189,7 +189,7 @@ def _approaches(distance: Floats, settings: Cutting, offset: int, recording: str
         if far[t] and (begin < 0 or settings.start == "approach"):
             begin = t
         elif near[t] and begin >= 0:
-            found.append(Cut(offset + begin, offset + t + 1, _toucher(distance[t])))
+            found.append(Cut(offset + begin, offset + t + 1, _contact_outcome(distance[t])))
             begin = -1
     return found
 
@@ -198,17 +198,17 @@ def _until_contact(distance: Floats, contact: float | None, offset: int) -> Cut:
     touching = np.flatnonzero(_closer(distance.min(axis=1), contact or 0.0))
     if len(touching):
         t = int(touching[0])
-        return Cut(offset, offset + t + 1, _toucher(distance[t]))
+        return Cut(offset, offset + t + 1, _contact_outcome(distance[t]))
     return Cut(offset, offset + len(distance), UNFINISHED)
 
 
-def _meaning(ends: str, positions: Floats, distance: Floats, roles: Sequence[str]) -> int:
+def _outcome_at_end(ends: str, positions: Floats, distance: Floats, roles: Sequence[str]) -> int:
     """Return the outcome of a recording by its last frame, as far as ``ends`` says what it means.
 
     Whoever is farthest from the centre then is taken for the one that left.
     """
     if ends == "contact":
-        return _toucher(distance)
+        return _contact_outcome(distance)
     if ends != "left":
         return UNFINISHED
     farthest = int(np.linalg.norm(positions, axis=1).argmax())
@@ -216,12 +216,12 @@ def _meaning(ends: str, positions: Floats, distance: Floats, roles: Sequence[str
 
 
 def _closer(distance: Floats, limit: float) -> NDArray[np.bool_]:
-    """Which distances are smaller; those that differ in rounding alone, by the unit, are not."""
+    """Return which distances are smaller, by more than rounding."""
     return np.asarray(distance < limit * (1 - ROUNDING))
 
 
-def _toucher(distance: Floats) -> int:
-    """Outcome code of contact by the nearest pursuer of one frame ``(pursuers,)``.
+def _contact_outcome(distance: Floats) -> int:
+    """Return the outcome code of contact by the nearest pursuer of one frame ``(pursuers,)``.
 
     Of several as near, whatever the unit rounds them to, the first.
     """
@@ -269,13 +269,13 @@ def _cut_at_events(
         if outcome is None:
             outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
         if outcome == UNFINISHED:
-            outcome = _meaning(settings.ends, bodies[stop - 1], distance[stop - 1], roles)
+            outcome = _outcome_at_end(settings.ends, bodies[stop - 1], distance[stop - 1], roles)
         found.append(Cut(start, stop, outcome, condition))
     return found
 
 
 def most_approached(bodies: Sequence[Floats]) -> int:
-    """The individual that the others approach most while it approaches them least.
+    """Return the individual that the others approach most while it approaches them least.
 
     For each individual the mean velocity component towards each other one is taken over all
     recordings ``(frames, individuals, 2)``; the target has the lowest mean.
@@ -297,7 +297,7 @@ def most_approached(bodies: Sequence[Floats]) -> int:
 
 
 def pursued_individual(bodies: Sequence[Floats]) -> int | None:
-    """The most approached of up to ``LARGEST_CHASE`` animals; of three or more if it is all along.
+    """Return the most approached of up to ``LARGEST_CHASE`` animals, of several if throughout.
 
     The same one is approached most in most parts of the recordings where it is pursued, as prey or
     a female; among animals that go their own ways it is now one and now another. But the foremost
@@ -338,7 +338,7 @@ def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
 
 
 def check_events(path: Path, recordings: Sequence[str]) -> None:
-    """Warn of events of recordings that there are none of: misspelt, or of files left out.
+    """Warn of events whose recordings are not imported: misspelt, or of files left out.
 
     Raises InputError if all are.
     """

@@ -1,4 +1,4 @@
-"""Who is who in recordings, and what is known of them: condition, split, roles and scale.
+"""Condition, split, roles and scale of recordings, and the names and roles of their individuals.
 
 That comes from the recipe, from a table with a row per recording (``--metadata``), or from a
 pattern over their names (``--name-pattern``).
@@ -27,13 +27,13 @@ from animarl_envs.wall import search_names
 COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")
 GROUPS = ("condition", "split", "target")
 TARGET, PURSUER = "target", "pursuer"
-MANY = {TARGET: PURSUER, PURSUER: TARGET}  # the role of the others, where one has this role
+OTHER_ROLE = {TARGET: PURSUER, PURSUER: TARGET}  # the role of the others, where one has this role
 AUTO = "auto"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """One recording, as far as it is known; ``None`` where it is not said.
+    """What is stated of one recording; ``None`` where nothing is.
 
     ``condition`` is the word that stands there. ``roles`` are individuals by name with ``pursuer``
     or ``target``, the others are left out. ``px_per_cm`` is how many of the file's units make 1 cm.
@@ -48,7 +48,7 @@ class Session:
 
 @dataclass(frozen=True)
 class Sessions:
-    """All that is known, by recording; nothing of any where ``by_recording`` is ``None``.
+    """What is stated of each recording; nothing of any where ``by_recording`` is ``None``.
 
     ``place`` is for messages, ``ignored`` are columns that were not used.
     """
@@ -59,7 +59,7 @@ class Sessions:
     ignored: tuple[str, ...] = ()
 
     def of(self, recording: str) -> Session:
-        """The session of a recording, also where it stands with its file's ending.
+        """Return the session of a recording, also where it is named with its file's ending.
 
         Raises InputError if there is none.
         """
@@ -79,11 +79,11 @@ class Sessions:
 
     @property
     def state_roles(self) -> bool:
-        """Whether they state the role of any individual."""
+        """Whether the role of any individual is stated."""
         return any(one.roles or one.target for one in (self.by_recording or {}).values())
 
     def splits(self, recording: NDArray[np.str_], splitting: Splitting) -> NDArray[np.str_]:
-        """The split of each episode: as stated for its recording; the others are dealt."""
+        """Return the split of each episode: as stated for its recording, else dealt."""
         stated = [self.of(name).split for name in recording.tolist()]
         free = np.array([split is None for split in stated])
         if free.all():
@@ -94,7 +94,7 @@ class Sessions:
         return found
 
     def apply(self, tracks: Tracks) -> Tracks:
-        """The recording with its condition, and of its individuals those with a role."""
+        """Return the recording with its condition and the individuals that have a role."""
         session = self.of(tracks.recording)
         if session.roles:
             tracks = tracks.choose(list(session.roles))
@@ -104,8 +104,8 @@ class Sessions:
             return tracks
         return replace(tracks, condition=self.conditions.index(session.condition))
 
-    def told(self) -> dict[str, Any]:
-        """For the provenance: names of two conditions, whether roles are said, unused columns."""
+    def provenance(self) -> dict[str, Any]:
+        """Return names of two conditions, whether roles are stated, and unused columns."""
         named: dict[str, Any] = {}
         if len(self.conditions) == 2:
             named["conditions"] = list(self.conditions)
@@ -117,7 +117,7 @@ class Sessions:
 def load_sessions(
     recordings: Sequence[Tracks], metadata: str | None, name_pattern: str | None
 ) -> Sessions:
-    """What a table or a pattern says of recordings; nothing, where neither is given."""
+    """Return what a table or a pattern states of recordings; nothing where neither is given."""
     names = [tracks.recording for tracks in recordings]
     if metadata is not None:
         return read_sessions(Path(metadata), names)
@@ -127,7 +127,7 @@ def load_sessions(
 
 
 def read_sessions(path: Path, recordings: Sequence[str] = ()) -> Sessions:
-    """A table with a column ``recording`` and any of :data:`COLUMNS`.
+    """Read a table with a column ``recording`` and any of :data:`COLUMNS`.
 
     What is no name of one of the ``recordings`` may be that of its file, with the ending.
 
@@ -151,7 +151,7 @@ def read_sessions(path: Path, recordings: Sequence[str] = ()) -> Sessions:
 
 
 def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
-    """What a regular expression with groups named as :data:`GROUPS` finds in names of recordings.
+    """Return what a regular expression with groups as :data:`GROUPS` finds in names of recordings.
 
     Raises InputError if it is none, has no such group, or does not fit a name.
     """
@@ -173,7 +173,7 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
 
 
 def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
-    """The names of conditions 0 and 1: ``0`` and ``1`` themselves, or words as they occur."""
+    """Return the names of conditions 0 and 1: ``0`` and ``1``, or words in order of occurrence."""
     found = tuple(dict.fromkeys(word for word in words if word is not None))
     alike = {"".join(word.casefold().split()): word for word in found}
     for word in found:
@@ -221,7 +221,7 @@ def _session(row: Mapping[str, str], place: str) -> Session:
 
 
 def _united(before: Session, now: Session, place: str) -> Session:
-    """Two rows of one recording: roles of several individuals, all else the same."""
+    """Join two rows of one recording, which state the roles of several individuals."""
     roles = {**before.roles, **now.roles}
     require(
         before.roles and now.roles and len(roles) == len(before.roles) + len(now.roles),
@@ -243,14 +243,14 @@ def _united(before: Session, now: Session, place: str) -> Session:
 
 
 class FocusRole(NamedTuple):
-    """Whom all others face: the target, or the pursuer of several targets."""
+    """The individual that all others face: the target, or the pursuer of several targets."""
 
     name: str
     role: str
 
 
 def apply_names(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
-    """The recording with the individuals, names and frame rate that the recipe states."""
+    """Return the recording with the individuals, names and frame rate of the recipe."""
     for name in sorted(recipe.rename):
         require(
             name in tracks.individuals,
@@ -267,7 +267,7 @@ def apply_names(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
 def assign_focus(
     recordings: list[Tracks], recipe: ImportRecipe, sessions: Sessions, name: str
 ) -> tuple[list[Tracks], FocusRole | None]:
-    """Whom all others face, and the recordings, named by role where theirs differ.
+    """Return the recordings, named by role where their names differ, and the individual to face.
 
     Raises InputError if a target is named for some recordings only, some have several, or their
     units differ.
@@ -280,20 +280,23 @@ def assign_focus(
             "px_per_cm of all recordings, or of none",
         )
     stated = [_stated_focus(sessions.of(one.recording), name, one.recording) for one in recordings]
-    told = [focus for focus in stated if focus is not None]
-    if told:
+    known = [focus for focus in stated if focus is not None]
+    if known:
         for one, focus in zip(recordings, stated, strict=True):
             require(
                 focus,
                 f"{name}: no target is named for {one.recording}: name one for every recording",
             )
         require(
-            len({focus.role for focus in told}) == 1,
+            len({focus.role for focus in known}) == 1,
             f"{name}: some recordings have one target and others several: import them apart",
         )
-        if len({(one.individuals, focus) for one, focus in zip(recordings, told, strict=True)}) > 1:
-            return _named_by_role(recordings, told), FocusRole(told[0].role, told[0].role)
-        return recordings, told[0]
+        if (
+            len({(one.individuals, focus) for one, focus in zip(recordings, known, strict=True)})
+            > 1
+        ):
+            return _named_by_role(recordings, known), FocusRole(known[0].role, known[0].role)
+        return recordings, known[0]
     if recipe.pursuer is not None:
         return recordings, FocusRole(recipe.pursuer, PURSUER)
     if recipe.target != AUTO:
@@ -307,7 +310,7 @@ def assign_focus(
 def assign_roles(
     cleaned: Sequence[Tracks], focus: FocusRole | None, recipe: ImportRecipe, name: str
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and roles, whom all others face last."""
+    """Return names and roles; the individual that all others face is last."""
     first = cleaned[0]
     names = first.individuals
     for tracks in cleaned:
@@ -337,11 +340,11 @@ def assign_roles(
         f"{name}: there is no {focus.role} {focus.name!r}: choose among {', '.join(names)}",
     )
     others = [name for name in names if name != focus.name]
-    return (*others, focus.name), (MANY[focus.role],) * len(others) + (focus.role,)
+    return (*others, focus.name), (OTHER_ROLE[focus.role],) * len(others) + (focus.role,)
 
 
 def _stated_focus(session: Session, name: str, recording: str) -> FocusRole | None:
-    """Who is pursued in a recording, or who pursues several, if it is said."""
+    """Return the target of a recording, or the pursuer of several targets, if it is stated."""
     of = {role: [n for n, r in session.roles.items() if r == role] for role in (TARGET, PURSUER)}
     if not of[TARGET]:
         return None if session.target is None else FocusRole(session.target, TARGET)
@@ -351,14 +354,14 @@ def _stated_focus(session: Session, name: str, recording: str) -> FocusRole | No
 
 
 def _named_by_role(recordings: Sequence[Tracks], focus: Sequence[FocusRole]) -> list[Tracks]:
-    """Recordings of different animals under the same names: ``pursuer_0``, ..., ``target``.
+    """Rename the animals of all recordings alike: ``pursuer_0``, ..., ``target``.
 
     Of several targets: ``target_0``, ..., ``pursuer``.
     """
     renamed = []
     for tracks, (last, role) in zip(recordings, focus, strict=True):
         others = [name for name in tracks.individuals if name != last]
-        names = [f"{MANY[role]}_{i}" for i in range(len(others))]
+        names = [f"{OTHER_ROLE[role]}_{i}" for i in range(len(others))]
         ordered = tracks.choose([*others, last])
         renamed.append(replace(ordered, individuals=(*names, role)))
     return renamed

@@ -119,7 +119,7 @@ class Tracks:
 
     @property
     def bodies(self) -> NDArray[np.float64]:
-        """``(frames, individuals, 2)`` once a keypoint was chosen."""
+        """Positions ``(frames, individuals, 2)`` once a keypoint was chosen."""
         require(
             len(self.keypoints) == 1,
             f"{self.recording}: it has keypoints {', '.join(self.keypoints)}: choose one, "
@@ -128,7 +128,7 @@ class Tracks:
         return self.positions[:, :, 0]
 
     def with_bodies(self, bodies: NDArray[np.float64], **changes: Any) -> Tracks:
-        """The same with other positions ``(frames, individuals, 2)``."""
+        """Return the same with other positions ``(frames, individuals, 2)``."""
         return replace(self, positions=bodies[:, :, None], confidence=None, **changes)
 
     def within(self, frames: slice, **changes: Any) -> Tracks:
@@ -143,7 +143,7 @@ class Tracks:
         )
 
     def choose(self, names: Sequence[str]) -> Tracks:
-        """Only these individuals, in this order."""
+        """Return only these individuals, in this order."""
         for name in names:
             require(
                 name in self.individuals,
@@ -228,7 +228,7 @@ def with_common_names(recordings: Sequence[Tracks]) -> list[Tracks]:
 
 
 def in_groups(recordings: Sequence[Tracks], piece: float | None, parts: int) -> list[list[Tracks]]:
-    """Pieces of each recording with equally many animals, which are there throughout.
+    """Cut recordings into pieces with equally many animals, which are there throughout.
 
     Recordings of groups stay whole if they have the same animals, and these are all there in half
     of the frames. Otherwise they are cut into pieces of ``piece`` seconds, by default ``parts`` in
@@ -273,7 +273,7 @@ def in_groups(recordings: Sequence[Tracks], piece: float | None, parts: int) -> 
 def _group_of(
     tracks: Tracks, when: slice, there: NDArray[np.bool_], names: tuple[str, ...]
 ) -> Tracks:
-    """A piece of a recording of those who are ``there`` and nearest to their centre."""
+    """Return a piece with those animals that are ``there`` nearest to their centre."""
     who = np.flatnonzero(there)
     mean = tracks.bodies[when][:, who].mean(axis=0)
     inner = np.argsort(np.linalg.norm(mean - mean.mean(axis=0), axis=1), kind="stable")
@@ -282,7 +282,7 @@ def _group_of(
 
 
 def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
-    """Files of one animal each become one recording; what differs in their names is the animal's.
+    """Join files of one animal each; what differs in their names becomes the animal's name.
 
     ``pair1_maleDLC_resnet50`` and ``pair1_femaleDLC_resnet50`` are ``male`` and ``female``.
     """
@@ -311,7 +311,7 @@ def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
 
 
 def disambiguate_by_folder(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tracks]]:
-    """The same, named by folder where files of one name in several folders have the same animals.
+    """Name recordings by folder where files of one name in several folders have the same animals.
 
     Other files that share a recording hold different animals of it.
     """
@@ -357,7 +357,7 @@ def separate_arenas(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tr
 
 
 def merge(parts: Sequence[Tracks]) -> list[Tracks]:
-    """Tracks of one recording become one; individuals side by side, frames up to the longest."""
+    """Join tracks of one recording: individuals side by side, frames up to the longest."""
     by_name: dict[str, list[Tracks]] = {}
     for part in parts:
         by_name.setdefault(part.recording, []).append(part)
@@ -396,7 +396,7 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
         return np.concatenate(shifted, axis=1)
 
     headings = [part.signals[HEADING] for part in group if HEADING in part.signals]
-    told = len(headings) == len(group) and all(own.ndim == 2 for own in headings)
+    all_have = len(headings) == len(group) and all(own.ndim == 2 for own in headings)
     scores = [part.confidence for part in group if part.confidence is not None]
     return replace(
         first,
@@ -405,6 +405,6 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
         individuals=tuple(name for part in group for name in part.individuals),
         positions=joined([part.positions for part in group]),
         confidence=joined(scores) if len(scores) == len(group) else None,
-        signals={HEADING: joined(headings)} if told else {},
+        signals={HEADING: joined(headings)} if all_have else {},
         events=(),
     )
