@@ -316,7 +316,10 @@ def assign_roles(
     for tracks in cleaned:
         remedy = "choose as many in all of them by --individuals"
         if len(tracks.individuals) == len(names):
-            remedy = "choose the same in all of them, or name the target of each by --metadata"
+            remedy = (
+                "choose the same in all of them, name the target of each by --metadata, or say "
+                "--target none if nobody is pursued"
+            )
         require(
             tracks.individuals == names,
             f"{name}: {tracks.recording} has individuals {', '.join(tracks.individuals)}, "
