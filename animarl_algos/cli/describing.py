@@ -130,7 +130,7 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
 
 def describe_frame_rate(demos: Demonstrations) -> str:
     """Return the frame rate of the recordings, and what says so."""
-    stated = demos.provenance["frame_rate"]
+    stated = demos.provenance.get("frame_rate", {"hz": [1 / demos.dt], "from": "the file"})
     rates, slow = stated["hz"], max(stated["hz"]) < 1
     shown = [f"{1 / rate if slow else rate:.6g}" for rate in (min(rates), max(rates))]
     span = " to ".join(dict.fromkeys(shown))
