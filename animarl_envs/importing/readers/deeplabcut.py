@@ -10,6 +10,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing import tables
-from animarl_envs.importing.clock import refuse_uneven_frames
+from animarl_envs.importing.clock import Place, refuse_uneven_frames
 from animarl_envs.importing.hdf import is_hdf, open_hdf, read_dataset
 from animarl_envs.importing.plain_pickle import load_plain
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
@@ -54,10 +55,10 @@ def _is_deeplabcut(path: Path) -> bool:
 def read_deeplabcut(path: Path, fps: float | None = None) -> list[Tracks]:
     """All body parts with their likelihood, in pixels; the files hold no frame rate.
 
-    Frames may begin at any number. Of a project with several
-    animals the unique body parts are landmarks: they are left out, and named as not used.
+    Frames may begin at any number. The unique body parts of a project with several animals are
+    landmarks: they are left out, and named as not used.
     """
-    columns, frames, values = (_read_hdf if is_hdf(path) else _read_table)(path)
+    columns, frames, values = _read_hdf(path) if is_hdf(path) else read_dlc_table(path)[1:]
     individuals = tuple(dict.fromkeys(column[0] for column in columns))
     landmarks = [part for owner, part, _ in columns if owner == UNIQUE and len(individuals) > 1]
     if landmarks:
@@ -85,11 +86,6 @@ def read_deeplabcut(path: Path, fps: float | None = None) -> list[Tracks]:
     ]
 
 
-def _read_table(path: Path) -> tuple[list[Column], Floats, Floats]:
-    """Return the columns, the frame numbers, and the values ``(frames, columns)``."""
-    return read_dlc_table(path)[1:]
-
-
 def read_dlc_table(path: Path) -> tuple[tables.Table, list[Column], Floats, Floats]:
     """Return a table, its columns, the frame numbers, and the values ``(frames, columns)``."""
     layout = tables.open_table(path)
@@ -111,9 +107,9 @@ def read_dlc_table(path: Path) -> tuple[tables.Table, list[Column], Floats, Floa
     return table, columns, number["frame"], np.column_stack([number[name] for name in names[1:]])
 
 
-def _group_of_table(file: object) -> str | None:
+def _group_of_table(file: Any) -> str | None:
     """Return the group of a file that holds predictions: pandas lets programs choose its name."""
-    for name, group in file.items():  # type: ignore[attr-defined]
+    for name, group in file.items():
         header = group.attrs.get("non_index_axes")
         if name.startswith("df_with_missing") or (
             isinstance(header, bytes) and b"likelihood" in header
@@ -145,10 +141,10 @@ def _read_hdf(path: Path) -> tuple[list[Column], Floats, Floats]:
     return columns, frames, numbers(path, "its table", values, "frames", len(names))
 
 
-def _check_frames(path: Path, frames: Floats, place: object) -> None:
+def _check_frames(path: Path, frames: Floats, place: Place) -> None:
     """Refuse rows that do not follow each other, from a first frame of any number."""
     counts = len(frames) > 0 and frames[0] >= 0 and frames[0] == np.floor(frames[0])
-    refuse_uneven_frames(path, frames, place, first=frames[0] if counts else 0)  # type: ignore[arg-type]
+    refuse_uneven_frames(path, frames, place, first=frames[0] if counts else 0)
 
 
 def _columns(path: Path, levels: Sequence[Sequence[str]]) -> list[Column]:

@@ -131,11 +131,12 @@ def read_nwb(path: Path, fps: float | None = None) -> list[Tracks]:
 
 def _nwb_individual(path: Path, file: Any, container: str, fps: float | None) -> Tracks:
     """Return the series of one container, each a keypoint."""
-    group = file[container]
+    things = {name: file[container].get(name) for name in file[container]}  # None: a dead link
     series = {
-        name: group[name]
-        for name in group
-        if hdf_text(group[name].attrs.get("neurodata_type", "")) == "PoseEstimationSeries"
+        name: thing
+        for name, thing in things.items()
+        if thing is not None
+        and hdf_text(thing.attrs.get("neurodata_type", "")) == "PoseEstimationSeries"
     }
     require(series, f"{path}: {container} has no series of poses: export it again")
     positions, scores, units = [], [], set()

@@ -24,7 +24,7 @@ from animarl_envs.files import read_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.hdf import is_hdf, open_hdf
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.tables import EXTENSIONS, Progress, forget_tables
+from animarl_envs.importing.tables import Progress, forget_tables
 from animarl_envs.importing.tracks import (
     Tracks,
     disambiguate_by_folder,
@@ -47,6 +47,7 @@ class Reader:
     ``function`` takes the path and options; it returns demonstrations if ``finished``, else a list
     of tracks. ``defaults`` are recipe entries that fit what the source is. ``generic`` readers of
     arrays and tables are asked last, so that a tracker's own layout is recognised first.
+    ``explain`` says of a file with its ending that no reader recognises what to do about it.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Reader:
     finished: bool = False
     defaults: Mapping[str, Any] = field(default_factory=dict)
     generic: bool = False
+    explain: Callable[[Path], str | None] | None = None
 
     @property
     def is_own(self) -> bool:
@@ -185,8 +187,6 @@ def _find_own_reader(path: Path) -> str:
     for reader in sorted(own, key=lambda reader: reader.generic):
         if path.name.lower().endswith(tuple(reader.extensions)) and reader.sniff(path):
             return reader.name
-    from animarl_envs.importing.readers.table_files import suggested_command
-
     refuse_special(path)
     suffix = path.suffix.lower()
     with _one_sentence_for(path, suffix):  # says so if an extra is missing or it is damaged
@@ -194,9 +194,10 @@ def _find_own_reader(path: Path) -> str:
             read_npz(path)
         if is_hdf(path):
             open_hdf(path).close()
-        words = suggested_command(path) if suffix in EXTENSIONS else None
+        words = [one.explain(path) for one in own if one.explain and suffix in one.extensions]
     known = ", ".join(reader.name for reader in own)
-    raise InputError(f"{path}: no reader recognises it: {words or f'name its --source ({known})'}")
+    remedy = next(filter(None, words), f"name its --source ({known})")
+    raise InputError(f"{path}: no reader recognises it: {remedy}")
 
 
 def read(path: str | Path, source: str | None = None, **options: Any) -> Demonstrations:

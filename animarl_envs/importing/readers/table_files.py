@@ -62,6 +62,7 @@ def _is_wide(path: Path) -> bool:
     sniff=_is_long,
     extensions=tables.EXTENSIONS,
     generic=True,
+    explain=lambda path: suggested_command(path),
 )
 def read_long_table(
     path: Path,

@@ -12,7 +12,13 @@ from refusals import refused, refuses
 from scipy.io import savemat
 
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers import files_in, find_reader, follow, read_tracks
+from animarl_envs.importing.readers import (
+    files_in,
+    find_reader,
+    follow,
+    load_readers,
+    read_tracks,
+)
 from tools.fuzz.layouts import (
     BODIES,
     NAMES,
@@ -335,6 +341,11 @@ def test_a_folder_is_all_files_in_it(tmp_path: Path) -> None:
     assert files_in([tmp_path]) == [tmp_path / "dlc.csv"]
     assert files_in([extra, tmp_path]) == [extra, tmp_path / "dlc.csv"]
     refuses("no file in the folder", files_in, [tmp_path / "more"])
+
+
+def test_a_file_of_readers_that_fails_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("import nothing_of_this_name\n")
+    refuses("mine.py: it cannot be run .ModuleNotFoundError", load_readers, tmp_path / "mine.py")
 
 
 def test_hdf_files_beside_each_other_keep_their_readers(tmp_path: Path) -> None:
