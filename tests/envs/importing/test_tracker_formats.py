@@ -292,6 +292,9 @@ def test_nwb_with_poses_has_an_animal_for_each_container(tmp_path: Path) -> None
         for container in file["processing/behavior"].values():
             container.attrs["neurodata_type"] = "Other"
     assert "no PoseEstimation" in refused(tmp_path / "clip.nwb")
+    with h5py.File(tmp_path / "clip.nwb", "r+") as file:
+        file["general/away"] = h5py.ExternalLink("other.nwb", "/general")
+    assert "link to elsewhere" in refused(tmp_path / "clip.nwb")
 
 
 def never_written(path: Path) -> None:
