@@ -338,8 +338,8 @@ def write_ethovision(folder: Path) -> Path:
 
 
 def write_trex_csv(folder: Path) -> Path:
-    rows = [f"{t},{x!r},{y!r},0,{t / 25}" for t, (x, y) in enumerate(BODIES[:, 0].tolist())]
-    head = "frame,X#wcentroid (cm),Y#wcentroid (cm),missing,time"
+    rows = [f"{t},{x!r},{y!r},{t / 25},0" for t, (x, y) in enumerate(BODIES[:, 0].tolist())]
+    head = "frame,X#wcentroid (cm),Y#wcentroid (cm),time,missing"
     (folder / "video_fish0.csv").write_text("\n".join([head, *rows]) + "\n")
     return folder / "video_fish0.csv"
 

@@ -148,7 +148,7 @@ def read_trex(path: Path, fps: float | None = None, unit: str | None = None) -> 
     positions = np.full((int(index.max()) + 1, 1, 1, 2), np.nan)
     positions[index, 0, 0] = np.column_stack([x, y])
     if "missing" in arrays and arrays["missing"].shape == frame.shape:
-        positions[index[arrays["missing"].astype(bool)]] = np.nan
+        positions[index[arrays["missing"] > 0]] = np.nan
     told: dict[str, Any] = {"file": path.name, "tracker": "TRex"}
     rate = fps if fps is not None else _number(arrays.get("frame_rate"))
     if rate is None and path.suffix.lower() == ".csv" and "time" in arrays:

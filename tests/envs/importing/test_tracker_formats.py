@@ -224,7 +224,7 @@ def test_sheets_of_manual_scoring_are_named_as_not_used(order: int, tmp_path: Pa
 def test_trex_tables_have_y_downwards_and_gaps_where_the_fish_is_missing(tmp_path: Path) -> None:
     path = write_trex_csv(tmp_path)
     lines = path.read_text().splitlines()
-    lines[8] = "7,inf,inf,1,0.28"
+    lines[8] = "7,inf,inf,0.28,1"
     path.write_text("\n".join(lines) + "\n")
     (tracks,) = read_tracks(path)
     assert (tracks.unit, tracks.y_down, tracks.frame_rate) == ("cm", True, 25.0)
