@@ -84,7 +84,7 @@ BUDGETS = {
     "animarl_envs.demos": 8_500,
     "animarl_envs.drawing": 9_590,
     "animarl_envs.fitting": 19_140,
-    "animarl_envs.importing": 52_200,
+    "animarl_envs.importing": 52_300,
     "animarl_envs.species": 6_870,
     "animarl_envs.views": 6_270,
     "animarl_envs.worlds": 34_950,
