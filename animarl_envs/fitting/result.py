@@ -165,7 +165,7 @@ def fit_locomotion(
         onset_threshold = default_onset_threshold(demos)
     if method != "joint" and thrusts != 1:
         raise InputError(
-            f"thrusts is {thrusts!r} but method {method} takes no number of them: use joint"
+            f"thrusts is {thrusts!r} but the {method} rule fits one thrust: use method joint"
         )
     weights = resampling_weights(training.num_episodes, bootstrap, seed)
     joint = joint_locomotion(training, thrusts) if method == "joint" else ()

@@ -130,7 +130,7 @@ class Listener(event.Listener):
         pass
 
 event.register("numba:compile", Listener())
-env = gymnasium.make("AnimaRL/Agent-v0")
+env = gymnasium.make("AnimaRL/AgentTask-v0")
 env.reset(seed=0)
 env.step(0)
 """

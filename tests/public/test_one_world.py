@@ -132,15 +132,15 @@ def test_one_world_step_is_one_call_of_a_callback(copies: int | None, tmp_path: 
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_one_world_has_one_time_limit(env_id: str) -> None:
-    for options in ({"max_episode_steps": 7}, {"time_limit": 7}):
+    for options in ({"max_episode_steps": 13}, {"time_limit": 13}):
         env = gym.make(env_id, **options)
         many = gym.make_vec(env_id, num_envs=2, vectorization_mode="vector_entry_point", **options)
         env.reset(seed=0)
-        ends = [env.step(env.action_space.sample())[2:4] for _ in range(7)]
+        ends = [env.step(env.action_space.sample())[2:4] for _ in range(13)]
         if not any(terminated for terminated, _ in ends):
-            assert [truncated for _, truncated in ends] == [False] * 6 + [True]
-        assert env.spec is not None and env.spec.max_episode_steps == 7
-        assert many.spec is not None and many.spec.max_episode_steps == 7
+            assert [truncated for _, truncated in ends] == [False] * 12 + [True]
+        assert env.spec is not None and env.spec.max_episode_steps == 13
+        assert many.spec is not None and many.spec.max_episode_steps == 13
     plain = gym.make(env_id)
     assert plain.spec is not None
     assert plain.spec.max_episode_steps == scenario_of(plain)["species"].time_limit

@@ -264,7 +264,7 @@ def test_what_a_run_is_compared_with_gets_its_policy_without_quantiles() -> None
         ({"device": "abacus"}, "", "'abacus' is unknown: choose cpu or cuda"),
         ({"device": "meta"}, "", "'meta' is unknown: choose cpu or cuda"),
         ({"preset": "fast"}, "", "preset is 'fast': choose paper or default"),
-        ({"fit_method": "guess"}, "", "'guess': choose joint or onset"),
+        ({"fit_method": "guess"}, "", "'guess': choose joint, onset or species"),
         ({"fit_method": "onset", "thrusts": "3"}, "", "fit_method onset fits one thrust: choose 1"),
         ({"seed": -1}, "", "seed is -1"),
         ({"copies": 0}, "", "copies is 0"),
