@@ -127,7 +127,7 @@ def test_a_species_in_the_list_has_its_environment() -> None:
 NAMES_A_SPECIES = {
     "animarl_envs/drawing/palette.py",  # shapes of bodies, named after animals
     "animarl_envs/__init__.py",
-    "animarl_envs/importing/readers/published.py",
+    "animarl_envs/importing/readers/authors.py",
 }
 
 
