@@ -72,8 +72,9 @@ class Prepared:
         cell = place[..., 0] * CELLS + place[..., 1]
         shares = np.zeros((len(rollouts), cell.shape[1], CELLS**2))
         episode = np.repeat(np.arange(len(rollouts)), rollouts.lengths)
-        for who in range(cell.shape[1]):
-            np.add.at(shares, (episode, who, cell[:, who]), 1.0)
+        for i in range(cell.shape[1]):
+            counts = np.bincount(episode * CELLS**2 + cell[:, i], minlength=len(shares) * CELLS**2)
+            shares[:, i] = counts.reshape(len(shares), CELLS**2)
         return np.asarray(shares / rollouts.lengths[:, None, None])
 
     def episodes(self, rollouts: Rollouts) -> MeasuredEpisodes:

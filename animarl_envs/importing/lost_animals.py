@@ -109,7 +109,7 @@ def _find_held(points: Sequence[Points]) -> list[Mask]:
     stretches, short = [], 0
     for number, own in enumerate(points):
         same = np.diff(own, axis=0, prepend=np.nan) == 0
-        for track in np.flatnonzero(same.any(axis=0)):
+        for track in np.flatnonzero(same.any(axis=0)).tolist():
             edges = np.flatnonzero(np.diff(np.concatenate([[0], same[:, track], [0]])))
             for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
                 if stop - start < MANY:

@@ -52,7 +52,10 @@ class Meaning:
 
 def draw_meaning(rng: np.random.Generator) -> Meaning:
     """Return a table drawn at random, with its true meaning."""
-    pick = lambda options: options[int(rng.integers(len(options)))]  # noqa: E731
+
+    def pick(options: Sequence[Any]) -> Any:
+        return options[int(rng.integers(len(options)))]
+
     layout, clock = pick(("long", "wide", "box")), pick(("frames", "time", "both", "bare time"))
     separator, decimal = pick(((",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")))
     count, frames = int(rng.integers(1, 4)), int(rng.integers(40, 90))
