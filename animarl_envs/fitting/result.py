@@ -104,6 +104,7 @@ class LocomotionFit:
             record = json.loads(Path(path).read_text())
             individuals = []
             for fit in record["individuals"]:
+                fit.pop("tracking_noise", None)  # of files that an earlier version wrote
                 known: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in fit.items()}
                 individuals.append(IndividualFit(**known))
             return cls(**record | {"individuals": tuple(individuals)})

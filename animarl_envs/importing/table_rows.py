@@ -314,17 +314,21 @@ def _with_boxes(table: tables.Table, found: Columns, number: dict[str, Floats]) 
     corners = corners_of(table.names)
     if corners != tuple(itertools.chain(*(one.columns for one in found.positions))):
         return found
-    x1, y1, x2, y2 = (number[name] for name in corners)
+    if are_corners(*(number[name] for name in corners)):
+        return replace(found, positions=(Position(corners),))
+    return found
+
+
+def are_corners(x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> bool:
+    """Return whether two points of each row are corners of a box, not two animals."""
     low, high = np.stack([x1, y1]), np.stack([x2, y2])
     seen = np.isfinite(low + high).all(axis=0)
     seen &= (low != high).any(axis=0)  # the corners of a lost animal are one mark, such as 0
     low, high = low[:, seen], high[:, seen]
     if not seen.any() or (high > low).all(axis=0).mean() < ORDERED:
-        return found
+        return False
     size, centre = high - low, (low + high) / 2
-    if (size.std(axis=1) < STEADY * centre.std(axis=1)).all():
-        return replace(found, positions=(Position(corners),))
-    return found
+    return bool((size.std(axis=1) < STEADY * centre.std(axis=1)).all())
 
 
 def _notes_on(found: Columns, points: Sequence[str]) -> list[str]:

@@ -17,6 +17,7 @@ from animarl_envs.importing.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import read_long_table
 from animarl_envs.importing.table_columns import Named, parsed_names
+from animarl_envs.importing.table_rows import are_corners
 from animarl_envs.importing.tracks import BODY_LENGTH, RATE_FROM, Tracks
 
 ETHOVISION = "Number of header lines:"  # the first cell
@@ -228,10 +229,14 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
 def _is_idtracker_csv(path: Path) -> bool:
     """Return whether a table is of idtracker.ai: of version 6, of an earlier one, or by its name.
 
-    Under another name ``x1, y1, x2, y2`` may be the corners of a box: any wide table is asked that.
+    Under another name ``x1, y1, x2, y2`` may be the corners of a box, as in any wide table.
     """
-    names, named = tables.plain_table(path).names, path.stem.startswith("trajectories")
-    dated = names[:2] in (("time", "x1"), ("seconds", "x1")) and (named or len(names) != 5)
+    table, named = tables.plain_table(path), path.stem.startswith("trajectories")
+    names = table.names
+    dated = names[:2] in (("time", "x1"), ("seconds", "x1"))
+    if dated and not named and names[2:] == ("y1", "x2", "y2"):
+        number, _ = table.columns(names[1:])
+        dated = not are_corners(*(number[name] for name in names[1:]))
     return dated or names == IDTRACKER_TIDY or (names[:2] == ("x1", "y1") and named)
 
 
