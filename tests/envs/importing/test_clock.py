@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 from animarl_envs.errors import InputError
 from animarl_envs.importing.clock import fit_clock
 from animarl_envs.importing.readers import read_tracks
 from animarl_envs.importing.tracks import RATE_FROM
-from tests.refusals import refuses
 
 FRAMES = np.arange(600)
 ONE = np.zeros(len(FRAMES), dtype=np.int64)

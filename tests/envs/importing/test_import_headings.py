@@ -113,7 +113,7 @@ def test_files_of_one_animal_each_keep_their_headings() -> None:
     parts = [
         Tracks(
             recording="v", individuals=(name,), positions=bodies[: 6 - late], frame_rate=10.0,
-            start=0.1 * late, signals={"heading": np.full((6 - late, 1), angle)},
+            start_time=0.1 * late, signals={"heading": np.full((6 - late, 1), angle)},
         )
         for name, angle, late in (("a", 1.0, 0), ("b", 2.0, 2))
     ]  # fmt: skip
