@@ -241,6 +241,8 @@ def whatif_command(
         ),
         on_answer=lambda answer: _print(console, answer),
     )
+    for sentence in found.unmet.values():
+        console.print(sentence)
     if note := cut_note(found):
         console.print(note)
     save_answers(found, out, command=command_line(), versions=versions())

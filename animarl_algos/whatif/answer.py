@@ -7,7 +7,7 @@ recordings and meet the same random numbers, so that they differ by the change a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
@@ -24,6 +24,7 @@ from animarl_algos.whatif.absent import Present, simulate_from
 from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
+from animarl_algos.whatif.thrust_search import LIMITS, ThrustSearch
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
@@ -37,12 +38,12 @@ from animarl_envs.species.options import change_world
 Floats = NDArray[np.float64]
 
 REPETITIONS = 5
-CLOSE_ENOUGH = 0.02  # relative error of an achieved speed
-MOST_TRIES = 10
+MOST_TRIES = 24  # of the thrusts for wanted speeds
 TRY_REPETITIONS = 2
-FAR_APART = 0.1  # tries of thrust, for a slope to be read off them [log]
-USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
-THRUST_LIMITS = (1 / 8, 8.0)
+
+
+class UnmetSpeedError(InputError):
+    """No thrust brings an individual to the wanted speed."""
 
 
 class TrainedRun(Protocol):
@@ -138,6 +139,8 @@ class WhatIf:
         What policies perceive of a changed body.
     truth
         What made the recordings, where it is known.
+    unmet
+        By the name of a scenario whose wanted speed no thrust gives, a sentence that says so.
     """
 
     baseline: Rollouts
@@ -148,11 +151,14 @@ class WhatIf:
     repetitions: int
     reading: Reading
     truth: Truth | None = None
+    unmet: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def table(self) -> pd.DataFrame:
-        """All answers, one row per scenario and quantity."""
-        return pd.concat([answer.table for answer in self.answers], ignore_index=True)
+        """All answers, one row per scenario and quantity; one row where a speed is not met."""
+        rows = [{"scenario": s, "judged": why, "finding": False} for s, why in self.unmet.items()]
+        tables = [answer.table for answer in self.answers] + [pd.DataFrame(rows)] * bool(rows)
+        return pd.concat(tables, ignore_index=True)
 
 
 def ask(
@@ -200,8 +206,8 @@ def ask(
     Raises
     ------
     InputError
-        If a change is unknown or cannot be made, or runs are not of the same animals. Nothing is
-        simulated then.
+        If a change is unknown or cannot be made, or runs are not of the same animals; nothing is
+        simulated then. If no scenario can be met.
     """
     first = runs[0]
     species = first.scenario.species
@@ -226,11 +232,19 @@ def ask(
     comparison.truth = truth
     if on_baseline is not None:
         on_baseline(comparison.unchanged())
-    answers = []
+    answers, unmet = [], {}
     for scenario in scenarios:
-        answers.append(comparison.answer(scenario, nulls if scenario.condition is not None else ()))
+        try:
+            answers.append(
+                comparison.answer(scenario, nulls if scenario.condition is not None else ())
+            )
+        except UnmetSpeedError as error:
+            unmet[scenario.name] = str(error)
+            continue
         if on_answer is not None:
             on_answer(answers[-1])
+    if not answers:
+        raise InputError("; ".join(unmet.values()))
     return WhatIf(
         comparison.baseline,
         tuple(answers),
@@ -240,6 +254,7 @@ def ask(
         repetitions,
         reading,
         truth,
+        unmet,
     )
 
 
@@ -373,28 +388,27 @@ class _Comparison:
             wanted |= {
                 n: change.amount.of(usual[n], scales, change.text) for n in change.individuals
             }
-        factors = dict.fromkeys(wanted, 1.0)
-        if not wanted:
-            return factors
-        start = {name: usual[name] for name in wanted}
-        tried = {name: [(0.0, np.log(start[name]))] for name in wanted}
-        for name, target in wanted.items():
-            factors[name] = float(np.clip(target / start[name], *THRUST_LIMITS))
-        for _ in range(MOST_TRIES):
+        searches = {name: ThrustSearch(speed, usual[name]) for name, speed in wanted.items()}
+        for _ in range(MOST_TRIES if wanted else 0):
+            factors = {name: search.factor for name, search in searches.items()}
             options = scenario.options(self.species, self.unit, factors)
             achieved = _speeds(self._simulate(scenario, options, self.reading, TRY_REPETITIONS)[0])
-            miss = {n: np.log(wanted[n] / achieved[n]) for n in wanted}
-            if all(abs(one) <= CLOSE_ENOUGH for one in miss.values()):
+            for name, search in searches.items():
+                search.record(achieved[name])
+            missed = [name for name, search in searches.items() if not search.is_met]
+            if not missed:
                 return factors
-            for name in wanted:
-                tried[name].append((np.log(factors[name]), np.log(achieved[name])))
-                factors[name] = _next_factor(tried[name], np.log(wanted[name]))
-        worst = max(miss, key=lambda name: abs(miss[name]))
-        scale = self.unit.per_arena_unit
-        raise InputError(
-            f"{scenario.name}: no thrust between x{THRUST_LIMITS[0]:g} and x{THRUST_LIMITS[1]:g} "
-            f"brings {worst} to {wanted[worst] * scale:.3g} {self.unit.name}/s; the last try gave "
-            f"{achieved[worst] * scale:.3g}: ask for less, or change its thrust"
+            stuck = [name for name in missed if not searches[name].advance()]
+            if stuck:
+                missed = stuck
+                break
+        if not wanted:
+            return {}
+        name, scale = missed[0], self.unit.per_arena_unit
+        raise UnmetSpeedError(
+            f"{scenario.name}: no thrust between x{LIMITS[0]:g} and x{LIMITS[1]:g} brings {name} "
+            f"to {wanted[name] * scale:.3g} {self.unit.name}/s: "
+            f"{searches[name].describe_failure(scale)}; ask for another speed, or change its thrust"
         )
 
     def _rows(
@@ -527,14 +541,6 @@ class _Comparison:
                 f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
             )
         return word, "; ".join(reasons)
-
-
-def _next_factor(tried: Sequence[tuple[float, float]], wanted: float) -> float:
-    """Return the next thrust factor, by a line through all tries (logarithms of both)."""
-    x, y = np.array(tried).T
-    slope = float(np.polyfit(x, y, 1)[0]) if np.ptp(x) > FAR_APART else USUAL_SLOPE
-    step = (wanted - y[-1]) / float(np.clip(slope, 0.1, 1.5))
-    return float(np.clip(np.exp(x[-1] + np.clip(step, -0.7, 0.7)), *THRUST_LIMITS))
 
 
 def _speeds(rollouts: Rollouts) -> dict[str, float]:

@@ -96,7 +96,7 @@ def words(found: WhatIf) -> str:
         columns = [column.replace("\n", " ") for column in table.columns]
         lines.append(markdown_table(columns, (row.cells for row in table.groups[0].rows)))
         lines += ["", *(f"- {sentence}" for sentence in findings(answer)), ""]
-    return "\n".join([*lines, WARNINGS, ""])
+    return "\n".join([*lines, *(f"{why}.\n" for why in found.unmet.values()), WARNINGS, ""])
 
 
 def asides(answer: Answer) -> Iterator[str]:
@@ -189,7 +189,7 @@ def _lead(found: WhatIf) -> page.Lead:
 
 def _in_short(found: WhatIf) -> Iterator[page.Block]:
     said = [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
-    yield page.Text(said, "sentences")
+    yield page.Text([*said, *(f"{why}." for why in found.unmet.values())], "sentences")
     yield page.Text(WARNINGS)
 
 
@@ -254,7 +254,8 @@ def _factor(row: pd.Series) -> float:
 
 
 def _figures(found: WhatIf) -> page.Gallery:
-    images = list(_shift_images(found.table))
+    shifts = found.table.dropna(subset="quantity")
+    images = list(_shift_images(shifts))
     caption = (
         "Shift of every quantity with its 95 % interval. The band is the gap between the unchanged "
         "simulation and the recordings. Grey: no finding. Hollow: behind a warning."
@@ -263,7 +264,7 @@ def _figures(found: WhatIf) -> page.Gallery:
         caption += " Beside each shift stands the true one."
     doses = _doses(found)
     if doses is not None:
-        images += _dose_images(found.table, *doses)
+        images += _dose_images(shifts, *doses)
         caption += " Dose and response: changed means over the amount of the change, with the "
         caption += "interval of their shift; dashed: recorded."
     return page.Gallery(images, caption)

@@ -1,6 +1,8 @@
 """What-if questions: words of changes, paired answers, warnings, their truth, and the command."""
 
+import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,8 @@ from animarl_algos import load_run
 from animarl_algos.runs.permuted import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present
-from animarl_algos.whatif.answer import ask
-from animarl_algos.whatif.answer_page import answer_page, findings, words
+from animarl_algos.whatif.answer import MOST_TRIES, ask
+from animarl_algos.whatif.answer_page import answer_page, findings, save_answers, words
 from animarl_algos.whatif.changes import ChangedWorld, parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import (
     InputRange,
@@ -28,6 +30,7 @@ from animarl_algos.whatif.extrapolation import (
     others_in_order,
 )
 from animarl_algos.whatif.shifts import NO_INTERVAL, judge, share_as_large
+from animarl_algos.whatif.thrust_search import ThrustSearch
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES, get_species
@@ -165,8 +168,67 @@ def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: Run) ->
     speed = answer.table.set_index("quantity").loc["speed of prey"]
     assert speed["changed"] / speed["baseline"] == pytest.approx(1.2, abs=0.06)
     assert answer.thrusts["prey"] > 1.1  # 20 % more thrust gives less than 20 % more speed
-    with pytest.raises(InputError, match=r"no thrust between x0\.125 and x8 brings prey to"):
+    impossible = r"no thrust between x0\.125 and x8 brings prey to .*: x8 gives"
+    with pytest.raises(InputError, match=impossible):
         ask([chase], ["prey.speed=x30"], repetitions=1)
+
+
+def test_a_scenario_that_cannot_be_met_is_a_row_beside_the_others(
+    chase: Run, tmp_path: Path
+) -> None:
+    found = ask([chase], ["prey.speed=x30", "arena=x1.2"], repetitions=1, separately=True)
+    (answer,) = found.answers
+    (row,) = found.table[found.table["scenario"] != answer.scenario.name].to_dict("records")
+    assert "no thrust" in row["judged"] and not row["finding"]
+    save_answers(found, tmp_path / "out")
+    for name in ("README.md", "report.html", "whatif.csv"):
+        assert "no thrust between x0.125" in (tmp_path / "out" / name).read_text()
+
+
+def jumping(factor: float) -> float:
+    """A policy that rests up to a thrust and runs beyond it: 3.8 mm/s at x1, 12.1 at x1.2."""
+    return 3.8 * factor**0.3 + 8.1 / (1 + math.exp(-60 * (factor - 1.1)))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "response"),
+    [
+        (4.9, jumping),
+        (2.5, jumping),
+        (1.2, lambda factor: factor**0.7),
+        (0.7, lambda factor: factor**0.3),
+        (3.0, lambda factor: factor + 0.02 * math.sin(300 * factor)),
+    ],
+)
+def test_a_wanted_speed_is_bracketed(wanted: float, response: Callable[[float], float]) -> None:
+    search = ThrustSearch(wanted, response(1.0))
+    for _ in range(MOST_TRIES):
+        search.record(response(search.factor))
+        if search.is_met:
+            break
+        assert search.advance()
+    assert response(search.factor) == pytest.approx(wanted, rel=0.021)
+
+
+@pytest.mark.parametrize(
+    ("response", "said"),
+    [
+        (lambda factor: 1.0 if factor < 1.5 else 3.0, r"x1\.5 gives 1 and x1\.5 gives 3"),
+        (lambda factor: min(factor, 1.5), "x8 gives 1.5"),
+        (lambda factor: 0.0, "x8 gives 1e-12"),
+    ],
+)
+def test_a_speed_that_no_thrust_gives_ends_the_search(
+    response: Callable[[float], float], said: str
+) -> None:
+    search = ThrustSearch(2.0, 1.0)
+    tries = 0
+    while True:
+        search.record(response(search.factor))
+        tries += 1
+        if not search.advance():
+            break
+    assert tries <= MOST_TRIES and re.search(said, search.describe_failure(1.0))
 
 
 def test_a_pursuer_is_taken_away_and_the_other_catches_less(chase: Run) -> None:
