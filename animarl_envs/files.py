@@ -10,6 +10,7 @@ YAML is read as plain data: no tags that name code, no text that becomes larger 
 import errno
 import glob
 import io
+import json
 import math
 import os
 import secrets
@@ -39,6 +40,7 @@ FREELY = 256 * 2**20  # [bytes]
 LARGE_EXPANSION = 16
 ALLOWANCE = 16 * 2**20  # [bytes]
 MOST_MEMBERS = 10_000  # of an archive
+LONGEST_RECORD = 16 * 2**20  # [bytes] of a JSON file in a run's folder
 PART = ".part"
 RANDOM = 8  # characters that tempfile draws
 JUST_MADE = 1.0  # [s] within which a temporary file may not be locked yet
@@ -167,6 +169,27 @@ def refuse_special(path: Path, instead: str = "copy its content into a file") ->
         raise InputError(f"{path}: {what}: name the file itself") from None
     require(not stat.S_ISDIR(mode), f"{path}: it is a folder: name a file in it")
     require(stat.S_ISREG(mode), f"{path}: it is a pipe or a device: {instead}")
+
+
+def read_regular(path: Path, most: int = LONGEST_RECORD) -> bytes:
+    """Return the content of a regular file, which may come from a stranger.
+
+    Raises OSError if it cannot be opened. Raises InputError if it is a pipe, a device or a folder,
+    or longer than ``most`` bytes.
+    """
+    status = path.stat()
+    regular = stat.S_ISREG(status.st_mode)
+    require(regular, f"{path}: it is a folder, a pipe or a device: put a copy of the file there")
+    require(status.st_size <= most, f"{path}: it is longer than {most:,} bytes: copy it again")
+    return path.read_bytes()
+
+
+def read_json(path: Path) -> Any:
+    """Return the content of a JSON file; raises as :func:`read_regular`, ValueError if damaged."""
+    try:
+        return json.loads(read_regular(path))
+    except RecursionError:
+        raise ValueError("it nests too deeply") from None
 
 
 def refuse_unfinished(path: Path) -> None:

@@ -25,6 +25,8 @@ from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
+CLIP_STEPS = 1_500  # of an episode in a clip, by default
+GIF_STEPS = 6_000  # a .gif is held in memory until it is written, some 0.4 MB a picture
 HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
 Rule = Literal["demonstration", "script"]
@@ -114,6 +116,19 @@ def watch_command(
     if beside and not world.scenario.paired:
         raise InputError("--beside needs recordings to show: give --demos, or leave it out")
     console = PlainConsole()
+    longest = world.scenario.species.time_limit
+    if out is not None and steps is None and longest > CLIP_STEPS:
+        steps = CLIP_STEPS
+        console.print(
+            f"An episode may take {longest:,} steps: the clip shows its first {steps:,}; give "
+            "--steps for another number"
+        )
+    pictures_kept = episodes * min(steps or longest, longest)
+    if out is not None and out.suffix.lower() == ".gif" and pictures_kept > GIF_STEPS:
+        raise InputError(
+            f"{out}: a .gif of {pictures_kept:,} steps takes too much memory, the most are "
+            f"{GIF_STEPS:,}: write an .mp4, or give fewer --steps or --episodes"
+        )
     total = episodes * len(sides) * min(steps or world.scenario.species.time_limit, 10**6)
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("step", total=total)

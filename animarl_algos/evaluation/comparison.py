@@ -32,7 +32,7 @@ from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_json, write_then_rename
 from animarl_envs.fitting.tracking import Tracking
 
 TABLES = ("metrics", "comparison", "pairs")
@@ -273,7 +273,7 @@ class Evaluation:
         """Read what :meth:`save` wrote, or raise InputError if a file is missing or damaged."""
         folder = Path(folder)
         try:
-            numbers = json.loads((folder / "evaluation.json").read_text())
+            numbers = read_json(folder / "evaluation.json")
             tables: dict[str, Any] = {n: read_table(folder / f"{n}.csv") for n in TABLES}
             return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:

@@ -8,6 +8,7 @@ stands the realism score (:mod:`animarl_algos.evaluation.realism`).
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Mapping
@@ -44,13 +45,14 @@ from animarl_algos.evaluation.verdict_rows import (
 )
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_json, read_regular, write_then_rename
 from animarl_envs.fitting.tracking import Tracking
 
 MIN_TEST_RECORDINGS = 10  # below, runs are cross-validated where that makes them more
 MOST_COMPLAINTS = 3  # of one sentence
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
 NOTICED = ("mean_speed", "duration", "turning", "nearest_neighbour")  # changes beside the headline
+LONGEST_TABLE = 64 * 2**20  # [bytes]
 TEXT_COLUMNS = {"reason", "gate", "unit", "covers", "verdict"}
 HALF = 0.5  # of the recorded value: a larger gap is implausible
 LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
@@ -205,7 +207,7 @@ class Verdict:
     def load(cls, folder: str | Path) -> Verdict:
         """Read what :meth:`save` wrote."""
         folder = Path(folder)
-        plain = json.loads((folder / "verdict.json").read_text())
+        plain = read_json(folder / "verdict.json")
         for some in plain["areas"].values():
             for name, ends in some.items():
                 value, low, high = (math.nan if end is None else end for end in ends)
@@ -231,7 +233,8 @@ def _count_words(count: int, many: str, one: str) -> str:
 def read_table(file: Path) -> pd.DataFrame:
     """Read a table as it was written: a column of ``TEXT_COLUMNS`` may be empty throughout."""
     try:
-        table = pd.read_csv(file, float_precision="round_trip")
+        content = io.BytesIO(read_regular(file, LONGEST_TABLE))
+        table = pd.read_csv(content, float_precision="round_trip")
     except pd.errors.EmptyDataError:
         return pd.DataFrame()
     for words in TEXT_COLUMNS & set(table):

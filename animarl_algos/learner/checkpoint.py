@@ -31,10 +31,11 @@ from stable_baselines3.common.save_util import open_path
 
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_regular, refuse_special, write_then_rename
 
 FORMAT = 3
 FILE = "checkpoint.npz"
+LARGEST_WEIGHTS = 2**31  # [bytes]
 
 State = tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]
 """All that a learner needs to go on exactly, but its replay memory: counters (JSON-like), arrays
@@ -96,7 +97,7 @@ def load_tensors(file: Path) -> Any:
     Raises OSError if the file cannot be read. Raises ValueError if it is damaged, or holds more
     than tensors and plain values.
     """
-    return _tensors_of(file.read_bytes(), file.name)
+    return _tensors_of(read_regular(file, LARGEST_WEIGHTS), file.name)
 
 
 def _tensors_of(raw: bytes, name: str) -> Any:
@@ -164,6 +165,7 @@ def _checkpoint_of(folder: str | Path) -> Path:
 def _opened_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], Mapping[str, NDArray[Any]]]]:
     """Yield the state in a checkpoint and its arrays; refuse a damaged one in one sentence."""
     try:
+        refuse_special(path)
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             state: dict[str, Any] = json.loads(str(archive["state"]))
             if state["format"] != FORMAT:

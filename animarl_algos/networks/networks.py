@@ -56,9 +56,9 @@ recording has been."""
 class NetworkSettings(Checked):
     """Shape of the networks; the defaults are the paper's."""
 
-    hidden: int = Field(32, ge=1)
+    hidden: int = Field(32, ge=1, le=8192)
     """Width of every hidden layer."""
-    depth: int = Field(2, ge=1)
+    depth: int = Field(2, ge=1, le=100)
     """Layers before the GRU."""
     head_layers: int = Field(1, ge=0, le=1)
     """Hidden layers of the dueling head; 0: V and A are linear in what the head sees."""

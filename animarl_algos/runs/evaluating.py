@@ -3,7 +3,6 @@
 Nothing is trained here.
 """
 
-import json
 import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,7 +32,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.files import all_files_or_none
+from animarl_envs.files import all_files_or_none, read_json
 from animarl_envs.fitting.result import doubts
 from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import Scenario
@@ -61,7 +60,7 @@ def roll_out(run: Run) -> dict[str, Rollouts]:
 
 def acted_by(run: Run) -> str:
     """Return the acting rule of the run's rollouts, which may differ from its own rule."""
-    return str(json.loads((run.path / "rollouts" / ACTED).read_text())["acting"])
+    return str(read_json(run.path / "rollouts" / ACTED)["acting"])
 
 
 def _rolled_out(
@@ -143,7 +142,7 @@ def far_acting_rules(run: Run) -> list[str]:
     file = run.acting_file(run.settings.algo)
     if not file.exists():
         return []
-    choice, found = json.loads(file.read_text()), []
+    choice, found = read_json(file), []
     if choice.get("short", 0.0) > MARGIN:  # models that were made before do not say
         found.append(
             "No candidate of the acting rules came as near to a recording as other recordings do "

@@ -5,7 +5,9 @@ and everything else as JSON, and a card. Whatever takes a run's folder takes it 
 that come with the package are not copied.
 """
 
+import html
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -182,7 +184,7 @@ def model_card(
 ) -> str:
     """Return data, licence, settings, metrics and limits of a trained model, as Markdown."""
     settings, demos, species = run.settings, run.demos, run.species
-    words, lines = Words.of(demos), "\n".join
+    words, lines, safe = Words.of(demos), "\n".join, escape_markdown
     kind = "synthetic, recorded from no animal" if demos.synthetic else "recorded"
     counts = ", ".join(f"{(demos.split == s).sum()} {s}" for s in ("train", "val", "test"))
     acting = f"`{settings.acting}`"
@@ -194,42 +196,52 @@ def model_card(
             "validation episodes (the lower, the more alike): "
             + ", ".join(f"{name} {number:.3f}" for name, number in chosen.items())
         )
+    made_by = " ".join(str(record["command"]).replace("`", "'").split())
     shown = verdict_as_table(verdict, words)
     table = [shown.columns, ["---"] * len(shown.columns)]
     table += [row.cells for row in shown.groups[0].rows]
     return f"""\
-# {species.title}: {settings.algo}
+# {safe(species.title)}: {settings.algo}
 
-A policy of {", ".join(species.individuals)} in `{environment_id(settings.species)}`, trained with \
-`{settings.algo}` (seed {settings.seed}, {parameters:,} parameters). Weights: safetensors; \
-everything else: JSON.
+A policy of {safe(", ".join(species.individuals))} in `{environment_id(settings.species)}`, \
+trained with `{settings.algo}` (seed {settings.seed}, {parameters:,} parameters). Weights: \
+safetensors; everything else: JSON.
 
-- **Data**: {demos.provenance.get("source") or demos.name} ({kind}); episodes: {counts}; \
+- **Data**: {safe(demos.provenance.get("source") or demos.name)} ({kind}); episodes: {counts}; \
 fingerprint `{record["fingerprint"]}`.
-- **Licence**: of the data {demos.provenance.get("licence") or "not stated"}; of the weights that \
-of the data, of the code MIT.
-- **Made by** `{record["command"]}`, commit {record["machine"]["commit"]}.
+- **Licence**: of the data {safe(demos.provenance.get("licence") or "not stated")}; of the weights \
+that of the data, of the code MIT.
+- **Made by** `{made_by}`, commit {safe(record["machine"]["commit"])}.
 - **Acts by** the rule in `policies`, {acting}.
 
 ## Metrics
 
-{verdict_sentence(verdict, words)}
+{safe(verdict_sentence(verdict, words))}
 
 Rollouts from the starts of the test split; training and the choice of acting saw none of it. \
 docs/faithful.md says how to read the table.
 
-{lines(f"| {' | '.join(cell.replace(chr(10), ' ') for cell in cells)} |" for cells in table)}
+{lines(f"| {' | '.join(safe(cell) for cell in cells)} |" for cells in table)}
 
 ## Limits
 
-{lines(f"- {words.adapt(limit)}" for limit in _limits(run, verdict))}
+{lines(f"- {safe(words.adapt(limit))}" for limit in _limits(run, verdict))}
 
 ## Settings
 
-{lines(f"- {name}: {value}" for name, value in flattened(record["learner"]))}
-{lines(f"- environment {name}: {value}" for name, value in flattened(record["environment"]))}
-{lines(f"- {name} {version}" for name, version in record["versions"].items())}
+{lines(f"- {name}: {safe(value)}" for name, value in flattened(record["learner"]))}
+{lines(f"- environment {name}: {safe(value)}" for name, value in flattened(record["environment"]))}
+{lines(f"- {name} {safe(version)}" for name, version in record["versions"].items())}
 """
+
+
+def escape_markdown(text: object) -> str:
+    """Return a text of one line in which Markdown sees no tag, link, code, cell or image.
+
+    Names come from files, and a card is shown where other people's pages are.
+    """
+    plain = html.escape(" ".join(str(text).split()), quote=False)
+    return re.sub(r"[`|]|(?<=\])[(\[:]|!(?=\[)", r"\\\g<0>", plain)
 
 
 def _limits(run: Run, verdict: Verdict) -> list[str]:

@@ -44,7 +44,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_json, write_then_rename
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.result import LocomotionFit
 from animarl_envs.fitting.transitions import demonstrated_actions
@@ -140,7 +140,7 @@ class Run:
         """
         file = self.path / "settings.json"
         try:
-            record: dict[str, Any] = json.loads(file.read_text())
+            record: dict[str, Any] = read_json(file)
             if not isinstance(record, dict):
                 raise ValueError("it is no table")
             return record
@@ -216,7 +216,7 @@ class Run:
     def wall_times(self) -> dict[str, float]:
         """Return seconds by stage; none of a run that never came so far."""
         file = self.path / "wall_time.json"
-        return dict(json.loads(file.read_text())) if file.exists() else {}
+        return dict(read_json(file)) if file.exists() else {}
 
     # -- its world --------------------------------------------------------------------------------
 
@@ -400,7 +400,7 @@ class Run:
         if asked != CHOSEN:
             return Acting.parse(asked)
         try:
-            return Acting.from_json(json.loads(file.read_text())["acting"])
+            return Acting.from_json(read_json(file)["acting"])
         except FileNotFoundError:
             raise InputError(
                 f"{file}: no acting rule was chosen yet: let 'animarl train' finish, or give "

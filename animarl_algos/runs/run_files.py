@@ -11,9 +11,9 @@ from typing import Any
 
 import torch
 
-from animarl_algos.learner.checkpoint import load_tensors
+from animarl_algos.learner.checkpoint import LARGEST_WEIGHTS, load_tensors
 from animarl_envs.errors import require_extra
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_regular, write_then_rename
 
 OWN, GIVEN = ".pt", ".safetensors"
 """Weights: torch's own within a run, safetensors, which hold no code, to give away."""
@@ -54,7 +54,7 @@ def read_weights(file: Path) -> Any:
     """
     if file.suffix != GIVEN:
         return load_tensors(file)
-    formats, content = _safetensors(), file.read_bytes()
+    formats, content = _safetensors(), read_regular(file, LARGEST_WEIGHTS)
     try:
         return formats.load(content)
     except Exception as error:  # safetensors' own, and torch's on a shape that is none

@@ -63,7 +63,7 @@ class RunSettings(PipelineSettings):
     """Environment steps of the online phase; by default the preset's."""
     seed: int = Field(0, ge=0, le=2**32 - 1)
     """Random seed; the same seed gives the same results."""
-    copies: int = Field(16, ge=1)
+    copies: int = Field(16, ge=1, le=100_000)
     """Worlds simulated side by side; by default the preset's."""
     focal: str | None = None
     """Only this individual learns, and the others replay; default: all learn."""
@@ -72,7 +72,7 @@ class RunSettings(PipelineSettings):
     cloning: str = CHOSEN
     """Recipe of the clone: exact, exact-few, nearly-exact, recorded, recorded-few, recorded-many,
     search, search-remembered, or chosen (by the demonstrations; zoo_configs/cloning.yml)."""
-    repetitions: int = Field(5, ge=1)
+    repetitions: int = Field(5, ge=1, le=100_000)
     """Rollouts per test demonstration."""
     baselines: bool = True
     """Compare with BC, an untrained network and random actions."""

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -521,6 +521,6 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         options: Any = {"fps": fps, "codec": "libx264", "quality": 8, "macro_block_size": 2}
         writer: Any = imageio.get_writer(part, **options)
         with writer:
-            for frame in (first, *taken):
+            for frame in chain([first], taken):
                 writer.append_data(frame)
     return path

@@ -16,6 +16,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import tracking_noise
 from animarl_envs.errors import InputError
+from animarl_envs.files import read_json
 from animarl_envs.fitting.joint import bootstrap_joint, fast_speed, fit_joint, joint_locomotion
 from animarl_envs.fitting.transitions import (
     bootstrap_onset,
@@ -101,7 +102,7 @@ class LocomotionFit:
     def load(cls, path: str | Path) -> LocomotionFit:
         """Read JSON written by :meth:`save`."""
         try:
-            record = json.loads(Path(path).read_text())
+            record = read_json(Path(path))
             individuals = []
             for fit in record["individuals"]:
                 fit.pop("tracking_noise", None)  # of files that an earlier version wrote

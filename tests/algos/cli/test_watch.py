@@ -38,6 +38,16 @@ def test_writes_a_clip_and_says_so(tmp_path):
         assert word in said
 
 
+def test_a_clip_of_a_long_episode_is_its_beginning(tmp_path, monkeypatch):
+    monkeypatch.setattr("animarl_algos.cli.watch.CLIP_STEPS", 3)
+    monkeypatch.setattr("animarl_algos.cli.watch.GIF_STEPS", 4)
+    clip = tmp_path / "moth.gif"
+    asked = ("watch", MOTH, "--demos", "none", "--out", clip, "--size", 100)
+    assert "the clip shows its first 3; give --steps" in " ".join(animarl(*asked).split())
+    assert len(imageio.imread(clip, index=None)) == 4
+    refuses("a .gif of 5 steps takes too much memory", animarl, *asked, "--steps", 5)
+
+
 def test_the_same_seed_gives_the_same_clip_and_another_another(tmp_path):
     clips = []
     for number, seed in enumerate(("3", "3", "4")):

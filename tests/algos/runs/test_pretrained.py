@@ -1,7 +1,9 @@
 """Models to give away act as the run did; what cannot become a simulator is refused before."""
 
 import json
+import os
 import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +17,12 @@ from pair_learners import demonstrations
 from refusals import refuses
 from small_runs import made
 
-from animarl_algos import load_pretrained
+from animarl_algos import load_pretrained, load_run
 from animarl_algos.cli.watch import prepare
 from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_observation
 from animarl_algos.recipes.registry import DQDIL, SoftBC
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.pretrained import FOLDER, export_run, pretrained_names
+from animarl_algos.runs.pretrained import FOLDER, escape_markdown, export_run, pretrained_names
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.packaged import load_packaged, packaged_names
@@ -67,6 +69,57 @@ def test_damaged_weights_are_refused(run: Run, tmp_path: Path) -> None:
     for damaged in (whole[:-8], b"", b"\xff" * 200, whole[:8] + b"[" + whole[9:]):
         file.write_bytes(damaged)
         refuses("not a policy of this run", load_pretrained, out)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs pipes and devices")
+@pytest.mark.parametrize(
+    "name",
+    ["settings.json", "locomotion.json", "demonstrations.npz", "policies/soft-bc.safetensors"],
+)
+def test_pipes_and_devices_in_a_folder_from_elsewhere_are_refused(
+    run: Run, tmp_path: Path, name: str
+) -> None:
+    out = export_run(run, tmp_path / "model", with_demonstrations=True)
+    file = out / name
+    file.unlink(missing_ok=True)
+    os.mkfifo(file)
+    refuses("pipe or a device|not a policy of this run", load_run, out)
+    file.unlink()
+    file.symlink_to("/dev/zero")
+    refuses("pipe or a device|not a policy of this run", load_run, out)
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value", "said"),
+    [
+        ("settings", "copies", 10**9, "at most 100000"),
+        ("learner", "policy_kwargs", {"hidden": 10**7}, "at most 8192"),
+    ],
+)
+def test_a_folder_from_elsewhere_may_not_take_all_memory(
+    run: Run, tmp_path: Path, part: str, key: str, value: Any, said: str
+) -> None:
+    out = export_run(run, tmp_path / "model", with_demonstrations=True)
+    record = json.loads((out / "settings.json").read_text())
+    record[part][key] = value
+    (out / "settings.json").write_text(json.dumps(record))
+    refuses(said, load_run, out)
+    (out / "settings.json").write_text("[" * 10**5)
+    refuses("nests too deeply", load_run, out)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("<img src=x>", "&lt;img src=x&gt;"),
+        ("[a](http://x)", "[a]\\(http://x)"),
+        ("a | b `c`", "a \\| b \\`c\\`"),
+        ("a\n# b", "a # b"),
+        ("![a]", "\\![a]"),
+    ],
+)
+def test_names_on_a_card_are_text(name: str, shown: str) -> None:
+    assert escape_markdown(name) == shown
 
 
 def test_what_cannot_be_exported_says_why(run: Run, tmp_path: Path) -> None:
