@@ -45,7 +45,7 @@ def test_the_programs_of_the_readme_run(
 # Refuses what only the extras install, and the package that needs it.
 CORE_ALONE = """
 import importlib.metadata, re, sys
-core, to_add = set(), ["gymnasium", "numpy", "numba", "pettingzoo"]
+core, to_add = set(), ["gymnasium", "numpy", "numba", "pettingzoo", "pydantic"]
 while to_add:
     name = to_add.pop()
     if name in core:
