@@ -33,6 +33,7 @@ from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_files import commit, machine
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import RunSettings
+from animarl_envs import wall
 from animarl_envs.demos.joining import first_of_role
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
@@ -61,7 +62,10 @@ def test_two_runs_of_animals_that_differ_are_compared(tmp_path: Path) -> None:
     factors = np.random.default_rng(0).uniform(0.4, 1.0, len(demos))  # who was slow stays so
     walks = demos.positions * np.repeat(factors, demos.lengths)[:, None, None]
     still = np.zeros_like(demos.initial_velocity)
-    slower = replace(demos, species="custom", positions=walks, initial_velocity=still)
+    origin = {**demos.provenance, "synthetic": False}  # synthetic animals have no traits
+    slower = replace(
+        demos, species="custom", positions=walks, initial_velocity=still, provenance=origin
+    )
     for seed in (0, 1):
         asked = RunSettings(
             file="x.npz", species="custom", algo="soft-bc", steps=1, seed=seed, thrusts="1"
@@ -86,8 +90,15 @@ def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:
     assert packaged.scenario.species.locomotion == packaged.fit.locomotion
 
 
-def test_each_file_of_a_run_is_read_once(run: Run) -> None:
+def test_each_file_of_a_run_is_read_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
+    call = wall.call
+
+    def read(function: Any, path: Any, **options: Any) -> Any:
+        opened.append(Path(path).name)
+        return call(function, path, **options)
+
+    monkeypatch.setattr(wall, "call", read)  # in another process
     watching = True
 
     def note(event: str, arguments: tuple[Any, ...]) -> None:

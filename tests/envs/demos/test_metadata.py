@@ -143,7 +143,7 @@ WRONG = {
     "recording,px_per_cm\nr,-1\n": "px_per_cm is '-1'",
     "recording,individual,role\nr,a,leader\n": "has the role 'leader'",
     "recording,individual,role\nr,a,target\nr,b,target\nr,c,pursuer\nr,d,pursuer\n": "several",
-    "recording,condition\nr,0": "last line does not end",
+    "recording,condition\nr,0": "last line has no line ending",
 }  # fmt: skip
 
 
