@@ -21,6 +21,7 @@ import pandas as pd
 
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE, classify_all, tracked_rollouts
+from animarl_algos.evaluation.laws import LAW, Law
 from animarl_algos.evaluation.metrics import measures
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.realism import REFERENCES, realism
@@ -29,11 +30,13 @@ from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, int
 from animarl_algos.evaluation.verdict_rows import (
     ALIKE,
     AS_BUILT,
+    BLIND,
     COLOURS,
     CONTROLS,
     DIFFERS,
     JUDGEMENTS,
     LITTLE,
+    STRANGERS,
     UNKNOWN,
     Comparison,
     Questions,
@@ -42,6 +45,7 @@ from animarl_algos.evaluation.verdict_rows import (
     farness,
     lower_first,
     rounded_count,
+    strangers,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -165,6 +169,21 @@ class Verdict:
         return found
 
     @property
+    def beside_law(self) -> str:
+        """In how many questions the simulator is nearer to the recordings than the law, or not."""
+        rows = [row for row in self.rows() if math.isfinite(row.law + row.simulated)]
+        better = [row for row in rows if abs(row.value) < abs(row.law - row.recorded)]
+        worse = [lower_first(row.label) for row in rows if row not in better]
+        if not rows:
+            return ""
+        said = (
+            f"Nearer to the recordings than a simple law in {len(better)} of {len(rows)} questions"
+        )
+        more = len(worse) - MOST_COMPLAINTS
+        listed = ", ".join(worse[:MOST_COMPLAINTS]) + (f" and {more} more" if more > 0 else "")
+        return said + (f"; not in {listed}." if worse else ".")
+
+    @property
     def auc(self) -> Interval:
         """The classifier's area on two seconds."""
         return interval(self.row(AUC))
@@ -262,7 +281,7 @@ def compare(
             "compare them with the demonstrations they started from"
         )
     prepared = Prepared(recorded, comparison_smoothing(recorded))
-    first, *streams = np.random.default_rng(seed).spawn(6)
+    first, *streams = np.random.default_rng(seed).spawn(7)
     return Comparison.of(prepared, prepared.counted(rollouts), first, questions), streams
 
 
@@ -307,17 +326,21 @@ def verdict(
     baselines = baselines or {}
     compared, streams = compare(recorded, rollouts, seed, questions)
     prepared, counted, unit = compared.prepared, compared.counted, compared.unit
-    unseeing = prepared.counted(baselines["blind"]) if "blind" in baselines else None
-    rows = list(compared.rows(unseeing))
-    random = baselines.get("random")
+    random, others = baselines.get("random"), None
+    if references is not None:
+        others = prepared.filtered(Rollouts.from_demonstrations(references))
+    controls = {LAW: Law.fit(others or prepared.recorded).rollouts(prepared, streams[4])}
+    controls |= {} if random is None else {"random": prepared.counted(random)}
+    if (mixed := strangers(prepared)) is not None:
+        controls[STRANGERS] = mixed
+    if BLIND in baselines:
+        controls[BLIND] = prepared.counted(baselines[BLIND])
+    rows = list(compared.rows(controls))
     sides = {} if random is None else {"ceiling": random.factual(recorded)}
     sides |= {} if floor is None else {"floor": tracked_rollouts(recorded, floor)}
     beside = {name: prepared.filtered(one) for name, one in sides.items()}
     answers = list(classify_all(prepared, counted, beside, references, unit, streams[:3]))
     rows += [classifier_row(*answer) for answer in answers]
-    others = None
-    if references is not None:
-        others = prepared.filtered(Rollouts.from_demonstrations(references))
     components = realism(
         prepared, counted, streams[3], references=others, random=beside.get("ceiling")
     )
@@ -331,7 +354,7 @@ def verdict(
             for one in (counted, prepared.counted(untrained))
         )
         apart = statistics.single_cells((ours - other)[None]).by_unit(unit)
-        worse = statistics.bootstrap_mean(apart, streams[4]).low > 0
+        worse = statistics.bootstrap_mean(apart, streams[5]).low > 0
     table = pd.DataFrame(rows)
     starts, ranks = np.unique(counted.demo), compared.ranks
     return Verdict(

@@ -32,10 +32,10 @@ from animarl_algos.evaluation.differences import (
     group_differences,
     simultaneous_differences,
 )
+from animarl_algos.evaluation.laws import LAW
 from animarl_algos.evaluation.metrics import (
     ARENA_UNITS,
     DURATION,
-    GROUP,
     KINDS,
     OF_MEAN,
     OF_SHARE,
@@ -69,7 +69,9 @@ LITTLE_AUC = 0.60  # alike up to here: two normal curves 0.36 standard deviation
 POWER = 0.84  # standard errors beyond the margin, for a change to be found in 80 % of experiments
 RANKED = ("duration", "path_length", "mean_speed", "turning", "nearest_neighbour")
 """Metrics by which recordings are ranked among the rollouts from their start."""
-CONTROLS = ("strangers", "blind")  # columns of a group alone
+STRANGERS, BLIND = "strangers", "blind"  # of a group alone
+CONTROLS = (LAW, "random", STRANGERS, BLIND)
+"""Columns of means of others in place of the simulator."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +85,9 @@ class Row:
     ``needed`` is the number of recordings with which a word that is not known would be, and
     ``detectable`` the smallest difference that these recordings show in 80 % of experiments.
     ``covers`` says what the interval speaks of, ``reason`` why there is none. ``primary`` rows have
-    a level of their own. Of a group, ``strangers`` is the recorded mean were its animals of
-    different recordings, and ``blind`` that of rollouts in which none sees its own neighbours.
+    a level of their own. The others are means of :data:`CONTROLS`: of a simple ``law`` that was
+    fitted to recordings, of ``random`` actions and, of a group, of ``strangers``, recorded animals
+    of different recordings, and of ``blind`` rollouts in which none sees its own neighbours.
     """
 
     measure: str
@@ -104,6 +107,8 @@ class Row:
     covers: str = ""
     reason: str = ""
     primary: bool = False
+    law: float = math.nan
+    random: float = math.nan
     strangers: float = math.nan
     blind: float = math.nan
 
@@ -294,11 +299,13 @@ class Comparison:
             prepared, other, sides[0].unit, metrics, found, allowed, primary, of_conditions=True
         )
 
-    def rows(self, blind: Rollouts | None = None) -> Iterator[Row]:
-        """Yield a row for each metric of its own, then one for each kind of the others."""
-        controls = {"strangers": strangers(self.prepared)}
-        controls["blind"] = {} if blind is None else measures(self.prepared, blind)
-        rows = [self._row(place, controls) for place in range(len(self.metrics))]
+    def rows(self, controls: Mapping[str, Rollouts] | None = None) -> Iterator[Row]:
+        """Yield a row for each metric of its own, then one for each kind of the others.
+
+        ``controls`` are rollouts by :data:`CONTROLS`, prepared as the others.
+        """
+        beside = {name: measures(self.prepared, side) for name, side in (controls or {}).items()}
+        rows = [self._row(place, beside) for place in range(len(self.metrics))]
         yield from (row for row, metric in zip(rows, self.metrics) if not metric.kind)
         for kind, label in KINDS.items():
             members = [row for row, metric in zip(rows, self.metrics) if metric.kind == kind]
@@ -336,10 +343,11 @@ class Comparison:
             words = unknown_words(needed, reason)
         error = POWER * float(found.error[place])
         more: dict[str, float] = {}
-        if metric.about == GROUP:
-            own = {name: side[metric.key] for name, side in controls.items() if side}
-            own = {name: some[np.isfinite(some)] for name, some in own.items()}
-            more = {name: float(some.mean()) for name, some in own.items() if len(some)}
+        for name, side in controls.items():
+            ends = metric.is_ending or metric is DURATION  # which a law takes from the recordings
+            values = side.get(metric.key, np.zeros(0))
+            if len(values := values[np.isfinite(values)]) and not (ends and name == LAW):
+                more[name] = float(values.mean())
         seeds = "training runs like these" if len(np.unique(self.counted.seed)) > 1 else ""
         return Row(
             measure=metric.key,
@@ -466,23 +474,22 @@ def farness(row: Row) -> tuple[int, bool, float]:
     return order.index(row.judgement), single, away if math.isfinite(away) else 0.0
 
 
-def strangers(prepared: Prepared) -> dict[str, Floats]:
-    """Return the metrics of groups put together of animals that never met.
+def strangers(prepared: Prepared) -> Rollouts | None:
+    """Return groups put together of animals that never met; None where there are no groups.
 
     Each goes where it went, in another episode than its neighbours: what animals of the same
     motion and places come to that do not see each other.
     """
     recorded, count = prepared.recorded, len(prepared.recorded)
     if not recorded.is_group or count < 2:
-        return {}
+        return None
     paths = []
     for i in range(count):
         each = [recorded.path((i + k) % count)[:, k] for k in range(recorded.num_individuals)]
         shortest = min(map(len, each))
         paths.append(np.stack([path[:shortest] for path in each], axis=1))
     lengths = np.array([len(path) for path in paths])
-    mixed = replace(recorded, positions=np.concatenate(paths), lengths=lengths)
-    return measures(prepared, mixed)
+    return replace(recorded, positions=np.concatenate(paths), lengths=lengths)
 
 
 def classifier_row(key: str, label: str, found: ClassifierResult) -> Row:

@@ -96,6 +96,8 @@ def _evidence(verdict: Verdict) -> list[str]:
     if verdict.detectable:
         told = [f"{name} {100 * part:.0f} %" for name, (part, _) in verdict.detectable.items()]
         found.append(f"Smallest changes that so many recordings show: {', '.join(told)}.")
+    if verdict.beside_law:
+        found.append(verdict.beside_law)
     if math.isfinite(verdict.realism.estimate):
         beside = ", ".join(f"{name} {number(v)}" for name, v in verdict.realism_beside.items())
         said = f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
@@ -244,6 +246,9 @@ def _caption(verdict: Verdict) -> str:
         "Not known: neither. Of each kind the measure farthest from alike is told. For the "
         f"classifiers: the area under the curve (.5: chance), alike up to {LITTLE_AUC:.2f}."
     )
+    if "law" in verdict.table:
+        said += " Law: persistent random walkers that turn towards their focus, fitted to"
+        said += f" recordings. {verdict.beside_law}"
     if "strangers" in verdict.table:
         said += " Strangers: recorded animals of different episodes put together, a group without"
         said += " reactions."

@@ -1,0 +1,156 @@
+"""A simple law of motion, fitted to recordings: what a simulator should beat.
+
+Each animal is a persistent random walker (Codling, Plank and Benhamou 2008, J. R. Soc. Interface 5,
+813): its speed and the noise of its turns forget themselves at the recorded rate. It also turns
+towards its focus, or away from it, in proportion to the sine of the angle, with a gain for each of
+``ZONES`` distances (pursuit of a target; repulsion, alignment of courses left out, and attraction
+in a group, after Couzin et al. 2002). Rollouts last as long as their recordings and end as they do,
+so a law says nothing of endings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from animarl_algos.evaluation.order_in_time import Series, cross, nearest_other
+from animarl_algos.evaluation.prepared import Prepared, resting_step
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Floats
+from animarl_envs.arena import Arena
+from animarl_envs.focus import focus_directions
+
+ZONES = 3  # distances to the focus with a gain each
+EACH = 2  # rollouts from every start
+LAW = "law"
+
+
+@dataclass(frozen=True)
+class Law:
+    """The law of each individual, or of each animal of a group, ``(individuals, ...)``.
+
+    ``speed`` and ``turn`` hold mean, standard deviation and autocorrelation of one step, ``edges``
+    the distances between zones [arena unit], ``gains`` the turn per step towards the focus.
+    """
+
+    speed: Floats
+    turn: Floats
+    edges: Floats
+    gains: Floats
+
+    @classmethod
+    def fit(cls, recorded: Rollouts) -> Law:
+        """Fit speeds, turns and reactions to recordings."""
+        rest = resting_step(recorded)
+        parts = [_samples(series) for series in Series.of(recorded, rest)]
+        individuals = recorded.num_individuals
+        fitted = []
+        for who in range(individuals):
+            chosen = slice(None) if recorded.is_group else slice(who, who + 1)
+            fitted.append(_fit([tuple(one[..., chosen] for one in part) for part in parts]))
+        speed, turn, edges, gains = (np.array(each) for each in zip(*fitted))
+        return cls(speed, turn, edges, gains)
+
+    def rollouts(self, prepared: Prepared, rng: np.random.Generator) -> Rollouts:
+        """Simulate ``EACH`` episodes from every recorded start, as long as the recorded ones."""
+        recorded, demos = prepared.recorded, prepared.demos
+        demo = np.repeat(np.arange(len(recorded)), EACH)
+        lengths, dt = recorded.lengths[demo], recorded.dt
+        position = recorded.positions[recorded.offsets[:-1]][demo]
+        velocity = demos.initial_velocity[demo]
+        heading = np.arctan2(velocity[..., 1], velocity[..., 0])
+        still = np.linalg.norm(velocity, axis=-1) == 0
+        heading = np.where(still, rng.uniform(-np.pi, np.pi, heading.shape), heading)
+        speed, noise = np.linalg.norm(velocity, axis=-1), np.zeros(heading.shape)
+        path = [position]
+        for _ in range(int(lengths.max()) - 1):
+            mean, spread, memory = self.speed.T
+            fresh = np.sqrt(1 - memory**2) * spread * rng.normal(size=heading.shape)
+            speed = np.maximum(mean + memory * (speed - mean) + fresh, 0.0)
+            mean, spread, memory = self.turn.T
+            fresh = np.sqrt(1 - memory**2) * spread * rng.normal(size=heading.shape)
+            noise = memory * noise + fresh
+            heading = heading + mean + noise + self._reaction(position, heading, recorded)
+            course = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+            position, heading = _held(
+                position + dt * speed[..., None] * course, heading, demos.arena
+            )
+            path.append(position)
+        whole = np.stack(path, axis=1)
+        kept = np.arange(whole.shape[1]) < lengths[:, None]
+        return replace(
+            recorded.select(demo),
+            positions=whole[kept],
+            method=LAW,
+            repetition=np.tile(np.arange(EACH), len(recorded)),
+        )
+
+    def _reaction(self, position: Floats, heading: Floats, like: Rollouts) -> Floats:
+        """Return the turn of every individual towards its focus."""
+        if like.num_individuals == 1:
+            return np.zeros(heading.shape)
+        apart = nearest_other(position)
+        distance = np.linalg.norm(apart, axis=-1)
+        towards = apart / np.where(distance > 0, distance, 1.0)[..., None]
+        if like.has_goal:
+            towards = focus_directions(position, like.roles)
+        course = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        zone = (distance[..., None] > self.edges).sum(axis=-1)
+        gain = np.take_along_axis(self.gains[None], zone[..., None], axis=-1)[..., 0]
+        return np.asarray(gain * cross(course, towards))
+
+
+def _samples(series: Series) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return speeds, turns, sines of the angle to the focus and distances, by step."""
+    sine = cross(series.course[:, :-1], series.focus[:, 1:-1])
+    near = series.position[:, 1:-1, :, 0] * 0.0
+    if series.position.shape[2] > 1:
+        near = series.nearest[:, 1:-1]
+    return series.speed, series.turn, sine, near
+
+
+def _fit(parts: list[tuple[Floats, ...]]) -> tuple[Floats, Floats, Floats, Floats]:
+    def joined(which: int) -> Floats:
+        return np.concatenate([part[which].ravel() for part in parts])
+
+    turn, sine, near = joined(1), joined(2), joined(3)
+    edges = np.nanquantile(near, np.arange(1, ZONES) / ZONES)
+    zone = (near[:, None] > edges).sum(axis=1)
+    known = np.isfinite(turn) & np.isfinite(sine)
+    gains = np.zeros(ZONES)
+    for place in range(ZONES):
+        here = known & (zone == place)
+        square = float((sine[here] ** 2).sum())
+        gains[place] = float((turn[here] * sine[here]).sum()) / square if square > 0 else 0.0
+    left = [
+        part[1] - np.nan_to_num(gains[(part[3][..., None] > edges).sum(axis=-1)] * part[2])
+        for part in parts
+    ]
+    return _moments([part[0] for part in parts]), _moments(left), edges, gains
+
+
+def _moments(parts: list[Floats]) -> Floats:
+    """Return mean, standard deviation and autocorrelation at one step."""
+    every = np.concatenate([part.ravel() for part in parts])
+    if not np.isfinite(every).any():
+        return np.zeros(3)
+    mean, spread = float(np.nanmean(every)), float(np.nanstd(every))
+    products = np.concatenate([((part[:, 1:] - mean) * (part[:, :-1] - mean)).ravel()
+                               for part in parts])  # fmt: skip
+    known = products[np.isfinite(products)]
+    memory = known.mean() / spread**2 if spread > 0 and known.size else 0.0
+    return np.array([mean, spread, float(np.clip(memory, 0.0, 0.999))])
+
+
+def _held(position: Floats, heading: Floats, arena: Arena) -> tuple[Floats, Floats]:
+    """Hold individuals within the field; who meets its edge turns round."""
+    if arena.shape == "open":
+        return position, heading
+    if arena.shape == "square":
+        inside = np.clip(position, -arena.size, arena.size)
+    else:
+        radius = np.linalg.norm(position, axis=-1, keepdims=True)
+        inside = position * np.minimum(1.0, arena.size / np.maximum(radius, 1e-12))
+    met = (inside != position).any(axis=-1)
+    return inside, np.where(met, heading + np.pi, heading)
