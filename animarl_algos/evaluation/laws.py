@@ -10,6 +10,7 @@ so a law says nothing of endings.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,11 +45,12 @@ class Law:
         """Fit speeds, turns and reactions to recordings."""
         rest = resting_step(recorded)
         parts = [_samples(series) for series in Series.of(recorded, rest)]
-        individuals = recorded.num_individuals
-        fitted = []
-        for who in range(individuals):
-            chosen = slice(None) if recorded.is_group else slice(who, who + 1)
-            fitted.append(_fit([tuple(one[..., chosen] for one in part) for part in parts]))
+        number = recorded.num_individuals
+        if recorded.is_group:  # animals of a group are alike
+            fitted = [_fit(parts)] * number
+        else:
+            each = [slice(who, who + 1) for who in range(number)]
+            fitted = [_fit([tuple(v[..., one] for v in part) for part in parts]) for one in each]
         speed, turn, edges, gains = (np.array(each) for each in zip(*fitted))
         return cls(speed, turn, edges, gains)
 
@@ -110,12 +112,14 @@ def _samples(series: Series) -> tuple[Floats, Floats, Floats, Floats]:
     return series.speed, series.turn, sine, near
 
 
-def _fit(parts: list[tuple[Floats, ...]]) -> tuple[Floats, Floats, Floats, Floats]:
+def _fit(parts: Sequence[tuple[Floats, ...]]) -> tuple[Floats, Floats, Floats, Floats]:
     def joined(which: int) -> Floats:
         return np.concatenate([part[which].ravel() for part in parts])
 
     turn, sine, near = joined(1), joined(2), joined(3)
-    edges = np.nanquantile(near, np.arange(1, ZONES) / ZONES)
+    edges = np.full(ZONES - 1, np.inf)
+    if np.isfinite(near).any():
+        edges = np.nanquantile(near, np.arange(1, ZONES) / ZONES)
     zone = (near[:, None] > edges).sum(axis=1)
     known = np.isfinite(turn) & np.isfinite(sine)
     gains = np.zeros(ZONES)
