@@ -70,7 +70,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 10_700,
     "animarl_algos.cli": 17_300,
     "animarl_algos.data": 8_300,
-    "animarl_algos.evaluation": 38_600,
+    "animarl_algos.evaluation": 40_000,
     "animarl_algos.learner": 18_790,
     "animarl_algos.losses": 3_540,
     "animarl_algos.networks": 12_450,
