@@ -197,11 +197,13 @@ def rank_histograms(ranks: Mapping[str, Sequence[float]]) -> Figure:
 
 def occupancy_map(shares: Floats, title: str, most: float) -> Figure:
     """Draw where individuals are: ``shares`` ``(columns, rows)`` of the time, dark at ``most``."""
-    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.patches import Rectangle
 
-    shades = LinearSegmentedColormap.from_list("", [style.FLOOR.hex, style.BLUE.hex])
     with one_panel(2.2, 2.4, "", title=title) as (figure, panel):
-        panel.pcolormesh(shares.T, cmap=shades, vmin=0.0, vmax=most)
+        for place, share in np.ndenumerate(shares):
+            look = {"color": style.BLUE.hex, "alpha": float(share) / most, "linewidth": 0}
+            panel.add_patch(Rectangle(place, 1, 1, **look))
+        panel.set(xlim=(0, len(shares)), ylim=(0, len(shares)))
         panel.set_aspect("equal")
         panel.set_axis_off()
     return figure

@@ -123,7 +123,7 @@ def test_a_table_of_a_lab_becomes_a_simulator_within_a_quarter(tmp_path: Path) -
 
 def test_the_program_moves_as_the_flies_that_it_made() -> None:
     met = bars_met(judged("fly", seed=0, rollouts=50))
-    assert "Duration" in met and any("classifier" in label for label in met)
+    assert "Duration" in met and any("Classifier" in label for label in met)
     assert all(met.values())
 
 

@@ -70,7 +70,7 @@ def test_the_verdict_of_few_test_recordings_is_cross_validated(
     words += ["--set", "offline_kwargs={updates_per_epoch: 3}", "--acting", "boltzmann:0.5"]
     words += ["--repetitions", "2", "--no-baselines"]
     said = succeeded(animarl(*words, "--out", "run"))
-    assert "fewer than 10 recordings" in said and "16 starts" in said
+    assert "fewer than 10 recordings" in said and "16 demonstrations" in said
     run = Run(tmp_path / "run")
     folds = trained_folds(run)
     tested = [fold.demos.recording[fold.demos.split == "test"].tolist() for fold in folds]
@@ -84,7 +84,7 @@ def test_the_verdict_of_few_test_recordings_is_cross_validated(
     assert np.array_equal(rollouts.positions[rollouts.offsets[:-1]], first[rollouts.demo])
     assert "16 demonstrations, cross-validated in 5 folds" in (run.path / "report.html").read_text()
 
-    assert "16 starts" in succeeded(animarl("evaluate", "run", "--out", "both"))
+    assert "16 demonstrations" in succeeded(animarl("evaluate", "run", "--out", "both"))
     other = animarl(*words, "--folds", "4", "--out", "run")
     refused(other, "cross-validated in 5 folds already")
 
@@ -307,6 +307,8 @@ def test_examples_of_the_data_commands_run(
     name: str, animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
     shutil.copy(small, tmp_path / "demos.npz")
+    own = "def axis_index(positions, dt, roles):\n    return positions[:, :, 0]\n"
+    (tmp_path / "my_index.py").write_text(own)
     said = animarl("data", name, "--help").stdout
     examples = re.findall(rf"^ *animarl (data {name}\b.*?) *$", said, re.MULTILINE)
     assert examples

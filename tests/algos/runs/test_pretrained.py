@@ -55,7 +55,7 @@ def test_an_exported_model_acts_as_the_run(run: Run, tmp_path: Path) -> None:
     world.reset()
     assert actor(world, True).shape == (1, 3)
     card = (out / "README.md").read_text()
-    for told in ("**Data**", "**Licence**", "MIT", "## Metrics", "Distinguished by", "## Limits",
+    for told in ("**Data**", "**Licence**", "MIT", "## Metrics", "Classifier on", "## Limits",
                  "synthetic", "One training seed", "## Settings", "offline_epochs: 1"):  # fmt: skip
         assert told in card, told
     metrics = json.loads((out / "metrics.json").read_text())
