@@ -14,7 +14,8 @@ import numpy as np
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable, training_episodes
-from animarl_envs.fitting.custom_species import fitted_locomotion, shows_odour
+from animarl_envs.fitting.custom_species import fitted_locomotion
+from animarl_envs.fitting.odour import shows_odour
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.fitting.transitions import step_frames
 

@@ -3,11 +3,6 @@
 What the file states is taken from it: names, roles, time step, arena, longest episode, contact
 radius. What it does not state comes from the species it names, or for species ``custom`` from the
 rules of :func:`species_of`. Every number can be replaced by the option of its name.
-
-The odour that a searcher's recordings were made in is fitted, too: a network of 24 units gives P(no
-hit, left, right, both) in the next step. It knows where the body is, where it points, which
-antennae were hit in the step before and how long ago the last hit was. It is fitted by maximum
-likelihood to the training episodes and their mirror images.
 """
 
 import math
@@ -23,6 +18,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.demos.splits import learnable, training_episodes
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.odour import fit_odour, shows_odour
 from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, focus_directions, is_free, lone_pursuer
 from animarl_envs.locomotion import Locomotion, check_thrusts
@@ -38,14 +34,6 @@ from animarl_envs.species import (
 from animarl_envs.species.options import with_options
 from animarl_envs.species.traits import FEWEST, Traits, fit_traits
 from animarl_envs.species.turning import Turning
-from animarl_envs.worlds.plume.plume import (
-    INPUTS,
-    LONGEST,
-    FittedOdour,
-    mirrored,
-    softmax,
-    write_inputs,
-)
 
 SMALLEST_CONTACT = 0.001  # share of the arena's size
 SIDED = 4.0  # standard errors from left and right alike
@@ -124,12 +112,6 @@ def species_of(
         conditions=conditions,
         **own,
     )
-
-
-def shows_odour(demos: Demonstrations) -> bool:
-    """Whether a searcher was recorded with its heading and its odour, to which both are fitted."""
-    signals = {HEADING, "odour_left", "odour_right"}
-    return not demos.synthetic and "searcher" in demos.roles and signals <= set(demos.signals)
 
 
 def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
@@ -327,87 +309,3 @@ def _cutting(demos: Demonstrations) -> dict[str, Any]:
 def _seconds(value: Any) -> float:
     """A limit of the recipe: a number, or infinity where it is text or absent."""
     return float(value) if isinstance(value, int | float) and value > 0 else math.inf
-
-
-UNITS, UPDATES, BATCH, RATE, DECAY = 24, 1_500, 512, 5e-3, 3e-2
-EMPTY, PLACES = 64, 5_000  # places without odour: of a batch, and in all
-CELL, AROUND = 0.02, 0.3  # [m]
-Floats = NDArray[np.float64]
-
-
-def odour_steps(demos: Demonstrations) -> tuple[Floats, NDArray[np.int64]]:
-    """Inputs ``(n, INPUTS)`` and hits ``(n,)`` (0 none, 1 left, 2 right, 3 both) of all steps."""
-    hits, heading = demos.odour_hits(), demos.headings()
-    assert hits is not None and heading is not None  # see shows_odour
-    rows, labels = [], []
-    for first, end in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
-        last_hit = -np.inf
-        for frame in range(first + 1, end):
-            if hits[frame - 1].any():
-                last_hit = frame - 1
-            since = (frame - 1 - last_hit) * demos.dt
-            row = np.empty(INPUTS)
-            x, y = demos.positions[frame, 0]
-            cosine, sine = np.cos(heading[frame, 0]), np.sin(heading[frame, 0])
-            write_inputs(x, y, cosine, sine, hits[frame - 1, 0], hits[frame - 1, 1], since, row)
-            rows.append(row)
-            labels.append(hits[frame, 0] + 2 * hits[frame, 1])
-    return np.array(rows), np.array(labels, dtype=np.int64)
-
-
-def empty_places(demos: Demonstrations, draw: np.random.Generator) -> Floats:
-    """Inputs ``(n, INPUTS)`` at places around the recorded ones where no searcher was nearby.
-
-    The field is cut into squares of side ``CELL``; empty are those that nobody has been in or next
-    to, nor in their mirror images. Heading, hits before and time since a hit are any.
-    """
-    wide = math.ceil((np.abs(demos.positions).max() + AROUND) / CELL)
-    free = np.ones((2 * wide + 2, 2 * wide + 2), dtype=bool)
-    column, row = (np.floor(demos.positions[:, 0] / CELL).astype(int) + wide + 1).T
-    for beside in np.ndindex(3, 3):
-        free[column + beside[0] - 1, row + beside[1] - 1] = False
-    free &= free[:, ::-1]
-    chosen = draw.choice(np.argwhere(free), PLACES)
-    places = (chosen - wide - 1 + draw.uniform(size=chosen.shape)) * CELL
-    rows = np.empty((PLACES, INPUTS))
-    for (x, y), out in zip(places, rows, strict=True):
-        angle, since = draw.uniform(-np.pi, np.pi), draw.uniform(0.0, LONGEST)
-        left, right = draw.random(2) < 0.5
-        write_inputs(x, y, np.cos(angle), np.sin(angle), left, right, since, out)
-    return rows
-
-
-def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
-    """Fit the network to all episodes of ``demos``, which need headings and odour signals.
-
-    Recordings say nothing of where no searcher was, and there the network would go on with what it
-    learned nearby: odour upwind of its source. So an eighth of what it is fitted to are places of
-    that kind, :func:`empty_places`, at which nobody is hit.
-    """
-    inputs, hits = odour_steps(demos)
-    inputs = np.concatenate([inputs, mirrored(inputs)])
-    hits = np.concatenate([hits, np.array([0, 2, 1, 3])[hits]])
-    draw = np.random.default_rng(seed)
-    empty = empty_places(demos, draw)
-    weights = [
-        draw.normal(0.0, INPUTS**-0.5, (INPUTS, UNITS)), np.zeros(UNITS),
-        draw.normal(0.0, UNITS**-0.5, (UNITS, 4)), np.zeros(4),
-    ]  # fmt: skip
-    mean, square = [[np.zeros_like(w) for w in weights] for _ in range(2)]
-    for update in range(1, UPDATES + 1):
-        rows = draw.integers(len(hits), size=BATCH)
-        seen = np.concatenate([inputs[rows], empty[draw.integers(len(empty), size=EMPTY)]])
-        units = np.tanh(seen @ weights[0] + weights[1])
-        error = softmax(units @ weights[2] + weights[3])
-        error[np.arange(len(seen)), np.pad(hits[rows], (0, EMPTY))] -= 1.0
-        error /= len(seen)
-        back = (error @ weights[2].T) * (1.0 - units**2)
-        slopes = [seen.T @ back, back.sum(0), units.T @ error, error.sum(0)]
-        rate = RATE * (1.0 - (update - 1) / UPDATES)
-        for i, slope in enumerate(slopes):  # Adam (Kingma & Ba 2015), decoupled weight decay
-            mean[i] = 0.9 * mean[i] + 0.1 * slope
-            square[i] = 0.999 * square[i] + 0.001 * slope**2
-            step = mean[i] / (1 - 0.9**update) / (np.sqrt(square[i] / (1 - 0.999**update)) + 1e-8)
-            weights[i] -= rate * (step + DECAY * weights[i])
-    first, bias, last, offset = weights
-    return FittedOdour(first, bias, last, offset)

@@ -67,10 +67,11 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
     ones = [moving.get(name, still) for name in names]
     if thrusts == 1:  # or the best fit that reaches the fast speed
         return alike * tuple(
-            one if one.terminal_speed(demos.dt) >= fast_speed(data)
+            one
+            if one.terminal_speed(demos.dt) >= fast_speed(data)
             else fit_joint(data, least_speed=fast_speed(data))
             for data, one in zip(every, ones, strict=True)
-        )  # fmt: skip
+        )
     multiples = fixed_multiples(thrusts)
     fitted = [_fit_magnitudes(data, one, thrusts) for data, one in zip(every, ones, strict=True)]
     fixed = [_with_multiples(data, one, multiples) for data, one in zip(every, ones, strict=True)]
@@ -197,9 +198,15 @@ def _alternate(
     for _ in range(ITERATIONS):
         error, action, level = nearest_actions(data, damping, thrusts)
         vv, vn, va, aa, an = sums(
-            data.velocity, data.next_velocity, action, level, error, _limit(error, far), data.dt,
+            data.velocity,
+            data.next_velocity,
+            action,
+            level,
+            error,
+            _limit(error, far),
+            data.dt,
             len(thrusts),
-        )  # fmt: skip
+        )
         new_damping, new_thrusts = _solve(vv, vn, va, aa, an, thrusts, data.dt, least_speed)
         if not (new_thrusts > 0).all():
             return damping, thrusts, math.inf
@@ -220,9 +227,15 @@ def nearest_actions(
 
 
 def _solve(
-    vv: float, vn: float, va: Floats, aa: Floats, an: Floats, thrusts: Floats, dt: float,
+    vv: float,
+    vn: float,
+    va: Floats,
+    aa: Floats,
+    an: Floats,
+    thrusts: Floats,
+    dt: float,
     least_speed: float,
-) -> tuple[float, Floats]:  # fmt: skip
+) -> tuple[float, Floats]:
     """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`sums`.
 
     The terminal speed of the largest thrust is at least ``least_speed``. A thrust that no step is

@@ -73,9 +73,23 @@ def track(
     pushes = np.stack([own.action_vectors for own in locomotion])
     for t in range(int(demos.lengths.max())):
         _follow(
-            t, starts, recorded, velocity, own_foci, damping, thrust, pushes, demos.dt,
-            float(horizon), position_now, velocity_now, paths, speeds, actions, course,
-        )  # fmt: skip
+            t,
+            starts,
+            recorded,
+            velocity,
+            own_foci,
+            damping,
+            thrust,
+            pushes,
+            demos.dt,
+            float(horizon),
+            position_now,
+            velocity_now,
+            paths,
+            speeds,
+            actions,
+            course,
+        )
         if arena.rebound:
             rebound(field, position_now, velocity_now)
     return Tracking(paths, speeds, actions)
@@ -143,9 +157,23 @@ def _check(demos: Demonstrations, locomotion: Sequence[Locomotion]) -> None:
 
 @jit
 def _follow(  # type: ignore[no-untyped-def]
-    t, starts, recorded, recorded_velocity, own_foci, damping, thrust, pushes, dt, horizon,
-    position, velocity, paths, speeds, actions, course,
-):  # fmt: skip
+    t,
+    starts,
+    recorded,
+    recorded_velocity,
+    own_foci,
+    damping,
+    thrust,
+    pushes,
+    dt,
+    horizon,
+    position,
+    velocity,
+    paths,
+    speeds,
+    actions,
+    course,
+):
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
     ``course`` ``(K, 2, episodes)`` is where they have been going.

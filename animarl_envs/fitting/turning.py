@@ -66,8 +66,12 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
         data = heading[at], turn, velocity[ahead], heading[ahead]
         fitted = least_squares(
             lambda tried, data=data: _chords(turning(tried), *data),
-            numbers, bounds=(LOWEST, HIGHEST), x_scale=(0.1, 0.1, 0.1), ftol=1e-9, xtol=1e-9,
-        )  # fmt: skip
+            numbers,
+            bounds=(LOWEST, HIGHEST),
+            x_scale=(0.1, 0.1, 0.1),
+            ftol=1e-9,
+            xtol=1e-9,
+        )
         numbers = np.clip(fitted.x, LOWEST, HIGHEST)
     found = turning(numbers)
     own, travel = (

@@ -5,7 +5,7 @@ step and over the antenna's radius, one bit per grid cell, so that a reading is 
 is made when it is first needed, in about a tenth of a second per pattern, and kept for the process:
 1 MB per pattern of 260 s at 0.5 s a step. It repeats when the pattern ends.
 
-An odour fitted to recordings (:func:`animarl_envs.fitting.custom_species.fit_odour`) has chances of
+An odour fitted to recordings (:func:`animarl_envs.fitting.odour.fit_odour`) has chances of
 hits instead of a field of puffs; the search world draws each hit from it.
 
 Frame: the source lies at the origin, the air flows towards +x, y is up [m].

@@ -11,7 +11,8 @@ from refusals import refuses
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting.custom_species import fit_odour, odour_steps, species_of
+from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.fitting.odour import fit_odour, odour_steps
 from animarl_envs.fitting.turning import along_travel, fit_turning, free_running, heading_misses
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species.silkmoth import RECORDED_TURNING
