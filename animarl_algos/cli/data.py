@@ -141,9 +141,13 @@ def check_command(file: str, out: Path | None = None) -> None:
 
 @app.command("split")
 @helps(
-    file=FILE, out=OUT, by="recording, episode or group.", pattern="group: regular expression.",
-    fractions="Shares of train, val, test.", seed="Seed of the new splits.",
-)  # fmt: skip
+    file=FILE,
+    out=OUT,
+    by="recording, episode or group.",
+    pattern="group: regular expression.",
+    fractions="Shares of train, val, test.",
+    seed="Seed of the new splits.",
+)
 def split_command(
     file: str,
     out: Path,

@@ -25,8 +25,7 @@ from animarl_envs.species import get_species
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
 MethodChoice = Literal["joint", "onset", "both"]
 """What ``--method`` takes."""
-Columns = dict[str, tuple[str, Callable[[Any], str]]]
-THRUST_COLUMNS: Columns = {
+THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "thrusts": ("thrusts", str),
     "individual": ("individual", str),
     "damping": ("d", "{:.4f}".format),
@@ -38,7 +37,7 @@ THRUST_COLUMNS: Columns = {
     "fast_speed": ("99 %\nspeed", "{:.3g}".format),
     "floor": ("floor\n(AUC)", lambda floor: f"{floor:.2f}" if math.isfinite(floor) else "-"),
 }
-"""Of the table of ``--thrusts``: by name in the file, the heading and how a value is shown."""
+"""Columns of ``--thrusts``: name in the file, heading in the terminal, and format of a value."""
 
 
 @shared.helps(
@@ -148,7 +147,7 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
 
 
 def _table(title: str, caption: str, rows: Sequence[Mapping[str, str]]) -> Table:
-    """Return rows as a table; each has the values by their headings."""
+    """Return a table for the terminal; each row has its values by their headings."""
     table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
     for heading in rows[0]:
         side: Any = "left" if heading == "individual" else "right"
@@ -158,11 +157,8 @@ def _table(title: str, caption: str, rows: Sequence[Mapping[str, str]]) -> Table
     return table
 
 
-def _shown(rows: Iterable[Mapping[str, Any]], columns: Columns) -> list[dict[str, str]]:
-    return [{heading: show(row[name]) for name, (heading, show) in columns.items()} for row in rows]
-
-
 def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
+    """Return a value and its interval, with three digits after the point or four."""
     digits = 3 if abs(value) >= 0.1 else 4
     if interval is None:
         return f"{value:.{digits}f}"
@@ -170,20 +166,17 @@ def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
 
 
 def _fit_rows(fits: Iterable[LocomotionFit]) -> list[dict[str, object]]:
+    """Return the rows of the table in the file, one for each fit and individual."""
+    numbers = ["velocity_rmse", "top_speed", "terminal_speed", "braking_time", "steps", "onsets"]
     rows = []
     for fit in fits:
         for one in fit.individuals:
+            d_low, d_high = one.damping_interval or (None, None)
+            u_low, u_high = one.thrust_interval or (None, None)
             row: dict[str, object] = {"method": fit.method, "individual": one.name}
-            for name, value, interval in (
-                ("d", one.damping, one.damping_interval),
-                ("u", one.thrust, one.thrust_interval),
-            ):
-                low, high = interval or (None, None)
-                row |= {name: value, f"{name}_low": low, f"{name}_high": high}
-            for name in ("velocity_rmse", "top_speed", "terminal_speed", "braking_time", "steps",
-                         "onsets"):  # fmt: skip
-                row[name] = getattr(one, name)
-            rows.append(row)
+            row |= {"d": one.damping, "d_low": d_low, "d_high": d_high}
+            row |= {"u": one.thrust, "u_low": u_low, "u_high": u_high}
+            rows.append(row | {name: getattr(one, name) for name in numbers})
     return rows
 
 
@@ -191,9 +184,10 @@ def _fit_rows(fits: Iterable[LocomotionFit]) -> list[dict[str, object]]:
 
 
 def parse_numbers(option: str, given: str | None, most: int) -> tuple[int, ...]:
-    """Return the numbers in ``1,2,3``, each once, in order; none where nothing is given.
+    """Return the numbers in a text such as ``1,2,3``, each once, in order.
 
-    Raises InputError if one is no whole number from 1 to ``most``.
+    Without a text there are none. Raises InputError unless all are whole numbers from 1 to
+    ``most``.
     """
     texts = [] if given is None else [text.strip() for text in given.split(",")]
     if not all(text.isdecimal() and 1 <= int(text) <= most for text in texts):
@@ -229,11 +223,20 @@ def _compare_thrusts(
         errors, speeds = tracking_errors(seen, tracking), speed_distances(seen, tracking)
         floor = tracking_floor(seen, fit.locomotion, seed=seed).estimate
         for i, one in enumerate(fit.individuals):
-            found = (
-                len(one.magnitudes), one.name, one.damping, one.thrust, one.magnitudes,
-                float(errors[i]), float(speeds[i]), one.terminal_speed, float(fast[i]), floor,
-            )  # fmt: skip
-            rows.append(dict(zip(THRUST_COLUMNS, found, strict=True)))
+            rows.append(
+                {
+                    "thrusts": len(one.magnitudes),
+                    "individual": one.name,
+                    "damping": one.damping,
+                    "thrust": one.thrust,
+                    "magnitudes": one.magnitudes,
+                    "tracking_error": float(errors[i]),
+                    "speed_distance": float(speeds[i]),
+                    "terminal_speed": one.terminal_speed,
+                    "fast_speed": float(fast[i]),
+                    "floor": floor,
+                }
+            )
     kind = "synthetic" if seen.synthetic else "recorded"
     caption = (
         f"{len(seen)} {kind} episodes ({split or 'all'}) followed in closed loop. Tracking error: "
@@ -241,9 +244,11 @@ def _compare_thrusts(
         "speeds over the mean recorded speed. Floor: how often a classifier ranks tracked motion "
         "above recorded motion (0.5: cannot tell them apart). Lengths in arena units."
     )
-    console.print(
-        _table(f"Thrust magnitudes of {seen.species}", caption, _shown(rows, THRUST_COLUMNS))
-    )
+    shown = [
+        {heading: show(row[name]) for name, (heading, show) in THRUST_COLUMNS.items()}
+        for row in rows
+    ]
+    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, shown))
     if len(numbers) > 1:
         best, reason = choose_thrusts(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")

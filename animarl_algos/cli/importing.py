@@ -51,16 +51,26 @@ OF_FINISHED = {
 FILES: list[inspect.Parameter] = [
     CONTEXT,
     option("files", list[Path], ..., typer.Argument(help="Files of one kind, or their folder.")),
-    option("source", str | None, None, typer.Option(
-        help="Reader; see 'animarl data sources'. Default: by a look.",
-    )),
-    option("readers", Path | None, None, typer.Option(
-        help="A .py file of readers of your own; it is run.",
-    )),
+    option(
+        "source",
+        str | None,
+        None,
+        typer.Option(
+            help="Reader; see 'animarl data sources'. Default: by a look.",
+        ),
+    ),
+    option(
+        "readers",
+        Path | None,
+        None,
+        typer.Option(
+            help="A .py file of readers of your own; it is run.",
+        ),
+    ),
     option("out", Path | None, None, typer.Option(help="Demonstrations to write (.npz).")),
     option("recipe", Path | None, None, typer.Option(help="Repeat this saved recipe (.yaml).")),
     option("dry_run", bool, False, typer.Option(help="Only say what is understood.")),
-]  # fmt: skip
+]
 
 
 def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:

@@ -28,36 +28,71 @@ SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts"
 OTHERS = {
     "context": shared.CONTEXT,
     "details": shared.option("details", bool, False, DETAILS),
-    "env": shared.option("env", str | None, None, typer.Option(
-        help="Environment id, such as AnimaRL/Fly-v0: learn in this world as it is, with the "
-        "locomotion of its species; --species fits the locomotion to FILE.",
-    )),
-    "folds": shared.option("folds", int | None, None, typer.Option(
-        min=0,
-        help="Cross-validate in so many folds, 0: never; by default in 5 where the test split has "
-        "fewer than 10 recordings, and all splits together have 10 or more.",
-    )),
+    "env": shared.option(
+        "env",
+        str | None,
+        None,
+        typer.Option(
+            help="Environment id, such as AnimaRL/Fly-v0: learn in this world as it is, with the "
+            "locomotion of its species; --species fits the locomotion to FILE.",
+        ),
+    ),
+    "folds": shared.option(
+        "folds",
+        int | None,
+        None,
+        typer.Option(
+            min=0,
+            help="Cross-validate in so many folds, 0: never; by default in 5 where the test split "
+            "has fewer than 10 recordings, and all splits together have 10 or more.",
+        ),
+    ),
     "measure": shared.option("measure", list[str] | None, None, MEASURE),
-    "neighbours": shared.option("neighbours", int | None, None, typer.Option(
-        help="Of a group without a target: how many of the others each one sees, the nearest.",
-    )),
-    "out": shared.option("out", Path, Path("runs/run"), typer.Option(
-        help="Run folder; an unfinished run in it is continued.",
-    )),
-    "policy": shared.option("policy", str | None, None, typer.Option(
-        help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
-    )),
+    "neighbours": shared.option(
+        "neighbours",
+        int | None,
+        None,
+        typer.Option(
+            help="Of a group without a target: how many of the others each one sees, the nearest.",
+        ),
+    ),
+    "out": shared.option(
+        "out",
+        Path,
+        Path("runs/run"),
+        typer.Option(
+            help="Run folder; an unfinished run in it is continued.",
+        ),
+    ),
+    "policy": shared.option(
+        "policy",
+        str | None,
+        None,
+        typer.Option(
+            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
+        ),
+    ),
     "primary": shared.option("primary", list[str] | None, None, PRIMARY),
-    "resume": shared.option("resume", Path | None, None, typer.Option(
-        help="Continue this run folder, up to --steps.",
-    )),
-    "settings": shared.option("settings", list[str] | None, None, typer.Option(
-        "--set",
-        help="A setting of the learner, KEY=VALUE, such as learning_rate=0.001; may be repeated. "
-        "Names: docs/learners.md.",
-    )),
+    "resume": shared.option(
+        "resume",
+        Path | None,
+        None,
+        typer.Option(
+            help="Continue this run folder, up to --steps.",
+        ),
+    ),
+    "settings": shared.option(
+        "settings",
+        list[str] | None,
+        None,
+        typer.Option(
+            "--set",
+            help="A setting of the learner, KEY=VALUE, such as learning_rate=0.001; may be "
+            "repeated. Names: docs/learners.md.",
+        ),
+    ),
     "tolerance": shared.option("tolerance", list[str] | None, None, TOLERANCE),
-}  # fmt: skip
+}
 """Options that are no field of :class:`RunSettings`."""
 
 
@@ -79,11 +114,13 @@ def _options(names: str) -> list[inspect.Parameter]:
     return found
 
 
-@shared.asks_for(_options(
-    "file env species algo preset steps seed out source copies focal neighbours policy device "
-    "config cloning fit_method thrusts acting repetitions folds baselines tolerance primary "
-    "measure details settings"
-))  # fmt: skip
+@shared.asks_for(
+    _options(
+        "file env species algo preset steps seed out source copies focal neighbours policy device "
+        "config cloning fit_method thrusts acting repetitions folds baselines tolerance primary "
+        "measure details settings"
+    )
+)
 def run_command(**given: Any) -> None:
     """Build a simulator from recordings: fit, train, evaluate, report.
 
@@ -154,10 +191,12 @@ def run_command(**given: Any) -> None:
     console.print(f"Open {page}")
 
 
-@shared.asks_for(_options(
-    "context file env species algo preset steps seed out resume source copies focal neighbours "
-    "policy device config cloning fit_method thrusts acting settings"
-))  # fmt: skip
+@shared.asks_for(
+    _options(
+        "context file env species algo preset steps seed out resume source copies focal neighbours "
+        "policy device config cloning fit_method thrusts acting settings"
+    )
+)
 def train_command(context: typer.Context, **given: Any) -> None:
     """Fit the locomotion and train; the same command continues a run that was stopped.
 

@@ -138,10 +138,15 @@ def watch_command(
                 world.seed([seed + episode])
                 made_up = world.demos is not None and world.demos.synthetic
                 yield play(
-                    world, actor, renderer, episodes=most, steps=steps, endings=endings[title],
+                    world,
+                    actor,
+                    renderer,
+                    episodes=most,
+                    steps=steps,
+                    endings=endings[title],
                     on_step=lambda: progress.advance(task),
                     title=f"{title} (synthetic)" if made_up and title == "recorded" else title,
-                )  # fmt: skip
+                )
 
         try:
             if out is None:
