@@ -28,19 +28,21 @@ would lie on a lattice: all thrusts would be along or across the velocity."""
 
 
 def is_free(roles: Sequence[str]) -> bool:
-    """Whether nobody pursues and nobody searches: one animal, or a group without a target."""
+    """Return whether there is neither a target nor a source: one animal, or a group."""
     return "target" not in roles and "searcher" not in roles
 
 
 def share_of(seconds: float, dt: float) -> float:
-    """The share of a step of ``dt`` [s] in an exponential mean over so many seconds."""
+    """Return the share of a step of ``dt`` [s] in an exponential mean over so many seconds."""
     return min(1.0, dt / seconds)
 
 
 @part
 def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
-    """An exponential mean, ``steps`` after its first value, with one more: the first few count
-    alike, until one of them is a ``share`` of all."""
+    """Return an exponential mean, ``steps`` after its first value, with one more value.
+
+    The first few count alike, until one of them is a ``share`` of all.
+    """
     return mean + max(share, 1.0 / (1.0 + steps)) * (value - mean)
 
 
@@ -73,7 +75,7 @@ def foci(roles: Sequence[str], dt: float = 1.0) -> Foci:
 
 @part
 def face(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-def]
-    """The unit vector towards the focus of individual ``i``; ``own`` are :class:`Foci`."""
+    """Return the unit vector towards the focus of individual ``i``, by the :class:`Foci`."""
     if own.free:
         return direction_of(course_x, course_y)
     nearest, x, y = np.inf, own.otherwise[i, 0], own.otherwise[i, 1]
@@ -89,7 +91,7 @@ def face(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-de
 
 @jit
 def _face_frames(own, position, course, steps, towards):  # type: ignore[no-untyped-def]
-    """Focus in frames ``(K, 2, frames)``; ``course`` has velocities, and becomes their mean."""
+    """Write focus directions ``(K, 2, frames)``; ``course`` has velocities, and gets their mean."""
     for i in range(position.shape[0]):
         for t in range(position.shape[2]):
             for x in range(2):
@@ -130,12 +132,12 @@ def focus_directions(
 
 
 def first_pursuer(roles: Sequence[str]) -> int:
-    """The first individual that is no target."""
+    """Return the first individual that is no target."""
     return next(i for i, role in enumerate(roles) if role != "target")
 
 
 def lone_pursuer(roles: Sequence[str]) -> bool:
-    """Whether the last individual pursues all others."""
+    """Return whether the last individual pursues all others."""
     *many, last = roles
     return last == "pursuer" and set(many) == {"target"}
 

@@ -1,9 +1,9 @@
-"""How many thrust magnitudes recordings ask for: as many as a classifier needs to be fooled.
+"""How many thrust magnitudes a simulator needs, until a classifier hardly recognises its motion.
 
-Closed-loop tracking follows the recordings with the 12 directions and M magnitudes. What tells it
-from them (area under the ROC curve of a classifier) estimates the floor of simulations with these
-magnitudes. It is no bound: tracking takes the nearest action of each step, and may give itself away
-by that where a policy that acts like the animal would not.
+Closed-loop tracking follows the recordings with the 12 directions and M magnitudes. How well a
+classifier tells the result from the recordings (area under its ROC curve) estimates the floor of
+simulations with these magnitudes. It is no bound: tracking takes the nearest action of each step
+and may be recognised by that, where a policy that acts like the animal would not be.
 """
 
 from collections.abc import Sequence
@@ -21,12 +21,14 @@ from animarl_envs.fitting.joint import joint_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.locomotion import Locomotion
 
-TRIED = (1, 2, 3, 5, 8)
-LOW = 2 / 3  # a floor that needs no further magnitude
-GAIN = 0.05  # by which the floor must fall to be worth more actions
-UNSURE = 1 / 3  # a wider interval of the floor tells nothing: it reaches from not told to told
-RECORDED = 3  # then a guess between one (artificial chasers) and five (recorded moths, flies)
-FEW = 10  # with fewer demonstrations, parts of them are dealt to the classifier's folds
+CANDIDATES = (1, 2, 3, 5, 8)
+GOOD_FLOOR = 2 / 3  # needs no further magnitude
+MIN_IMPROVEMENT = 0.05  # by which the floor must fall to be worth more actions
+MAX_INTERVAL_WIDTH = 1 / 3  # a wider interval of the floor decides nothing
+DEFAULT_THRUSTS = (
+    3  # then a guess between one (artificial chasers) and five (recorded moths, flies)
+)
+MIN_EPISODES = 10  # with fewer, parts of episodes are dealt to the classifier's folds
 
 
 def tracking_floor(
@@ -36,7 +38,7 @@ def tracking_floor(
     arena: Arena | None = None,
     seed: int = 0,
 ) -> Interval:
-    """How well closed-loop tracking of ``seen`` is told from it: 0.5 where it is not.
+    """Return how well a classifier tells closed-loop tracking of ``seen`` from it; 0.5: not at all.
 
     Both sides are at the scale at which positions were stored and filtered. ``arena`` has the walls
     that tracking meets, by default those of the world that ``seen`` makes, as in the verdict.
@@ -45,7 +47,7 @@ def tracking_floor(
     walls = arena_of(seen) if arena is None else arena
     tracked = tracked_rollouts(seen, track(seen, locomotion, walls))
     rest = resting_step(Rollouts.from_demonstrations(seen))
-    block = PART if seen.num_episodes < FEW else None
+    block = PART if seen.num_episodes < MIN_EPISODES else None
     own, other = (
         window_features(each, seen.arena, block=block, still=rest)
         for each in (prepared.recorded, prepared.filtered(tracked))
@@ -56,25 +58,24 @@ def tracking_floor(
 
 
 def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:
-    """The number of magnitudes for a simulator, and what decided it, in a few words.
+    """Return the number of magnitudes for a simulator, and the reason in a few words.
 
-    More are tried on the training episodes (all, if there are none) until the floor is at most
-    ``LOW``, and the fewest are taken from which the floor does not fall by another ``GAIN``. Where
-    the episodes are too few to say what the floor is, ``RECORDED`` are taken: one would be what
-    artificial chasers have, and is no safer a guess.
+    Candidates are tried on the training episodes (or all, without any) until the floor is at most
+    ``GOOD_FLOOR``. The fewest are taken whose floor is within ``MIN_IMPROVEMENT`` of the lowest. If
+    the episodes are too few to estimate the floor, ``DEFAULT_THRUSTS`` are taken.
     """
     seen = demos.select(split="train") if (demos.split == "train").any() else demos
     floors: dict[int, float] = {}
-    for thrusts in TRIED:
+    for thrusts in CANDIDATES:
         floor = tracking_floor(seen, joint_locomotion(seen, thrusts), seed=seed)
-        if np.isnan(floor.high - floor.low) or floor.high - floor.low > UNSURE:
-            return RECORDED, "a guess, since these are too few to tell"
+        if np.isnan(floor.high - floor.low) or floor.high - floor.low > MAX_INTERVAL_WIDTH:
+            return DEFAULT_THRUSTS, "a guess, since these are too few to tell"
         floors[thrusts] = floor.estimate
-        if floors[thrusts] <= LOW:
+        if floors[thrusts] <= GOOD_FLOOR:
             break
     lowest = min(floors.values())
-    chosen = next(m for m, floor in floors.items() if floor <= lowest + GAIN)
+    chosen = next(m for m, floor in floors.items() if floor <= lowest + MIN_IMPROVEMENT)
     return chosen, (
-        f"the fewest whose floor ({floors[chosen]:.2f}) is within {GAIN:g} of the lowest "
+        f"the fewest whose floor ({floors[chosen]:.2f}) is within {MIN_IMPROVEMENT:g} of the lowest "
         f"({lowest:.2f}) of {', '.join(map(str, floors))}"
     )

@@ -49,7 +49,7 @@ def species_of(
     base: str | None = None,
     thrusts: int = 1,
 ) -> Species:
-    """The species that demonstrations show; test episodes are not looked at.
+    """Return the species that demonstrations show; test episodes are not used.
 
     ``fit`` is the locomotion of each individual, by default fitted with so many ``thrusts``
     (:func:`fitted_locomotion`). What the file does not state comes from the species ``base``, by
@@ -131,14 +131,14 @@ def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
 
 
 def share_beyond(demos: Demonstrations) -> float:
-    """Share of frames in which whoever did so most often was farther out than a wall allows."""
+    """Return the share of frames beyond a wall, of the individual that is there most often."""
     walls, seen = replace(demos.arena, rebound=True), learnable(demos).positions
     within = walls.contains(seen, margin=BEYOND_WALLS * demos.arena.size)
     return float(1.0 - within.mean(axis=0).min())
 
 
 def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
-    """Joint fit of every individual on the training episodes (on all, if there are none).
+    """Return the joint fit of every individual on the training episodes (or all, without any).
 
     Fitted once per content of the demonstrations, number of magnitudes and process.
     """
@@ -150,7 +150,7 @@ def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomoti
 
 
 def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
-    """Turning of one individual, fitted as :func:`fitted_locomotion` is.
+    """Return the turning of one individual, fitted as :func:`fitted_locomotion` is.
 
     ``None`` where its body points where it walks, or no headings are recorded.
     """
@@ -159,7 +159,7 @@ def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None
 
 
 def fitted_traits(demos: Demonstrations) -> Traits | None:
-    """Traits of the training episodes (of all, if there are none); None where they are alike.
+    """Return traits of the training episodes (or all, without any); None if they are alike.
 
     Animals of a group stand for each other, so these are the traits of all of them.
     """
@@ -173,9 +173,10 @@ def fitted_traits(demos: Demonstrations) -> Traits | None:
 
 
 def takes_sides(demos: Demonstrations) -> bool:
-    """Whether recorded individuals prefer the left or the right, so that none is its mirror image.
+    """Return whether recorded individuals prefer the left or the right.
 
-    Somebody's mean turn, or the mean side of the focus on which it passes, is ``SIDED`` standard
+    Then no mirror image of a recording is possible. The mean turn of an individual, or the mean
+    side of the focus on which it passes, is ``SIDED`` standard
     errors over training recordings away from none. Artificial agents often are: they learned one
     of two equally good ways. Fewer than ``FEWEST`` recordings cannot say so.
     """
@@ -214,9 +215,9 @@ def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) ->
 
 
 def contact_radius_of(demos: Demonstrations) -> float:
-    """The contact radius that the demonstrations state or show [arena unit].
+    """Return the contact radius that the demonstrations state or show [arena unit].
 
-    As stated by the provenance, or the distance at which the import ended episodes, else that at
+    It is that of the provenance, or the distance at which the import ended episodes, else that at
     which recorded contacts ended (their 0.9 quantile), else a thousandth of the arena's size: where
     no recorded episode ended by contact, none should that is simulated.
     """
@@ -237,7 +238,7 @@ def contact_radius_of(demos: Demonstrations) -> float:
 
 
 def _plain_species(demos: Demonstrations) -> Species:
-    """A species of no name: all that the demonstrations do not overwrite afterwards."""
+    """Return the species ``custom`` before fits and options of :func:`species_of`."""
     from animarl_envs.fitting.result import default_onset_threshold
 
     longest = int(demos.lengths.max()) - 1
@@ -295,17 +296,17 @@ def _check_roles(demos: Demonstrations, species: Species) -> None:
 
 
 def _recipe(demos: Demonstrations) -> dict[str, Any]:
-    """How the import was asked for, as the provenance has it."""
+    """Return the recipe of the import; empty if the provenance has none."""
     recipe = demos.provenance.get("recipe")
     return recipe if isinstance(recipe, dict) else {}
 
 
 def _cutting(demos: Demonstrations) -> dict[str, Any]:
-    """How the import cut the episodes."""
+    """Return how the import cut the episodes; empty if unknown."""
     cutting = _recipe(demos).get("cutting")
     return cutting if isinstance(cutting, dict) else {}
 
 
 def _seconds(value: Any) -> float:
-    """A limit of the recipe: a number, or infinity where it is text or absent."""
+    """Return a limit of the recipe [s]: infinite if it is text or absent."""
     return float(value) if isinstance(value, int | float) and value > 0 else math.inf

@@ -46,7 +46,7 @@ _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 
 
 def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
-    """Damping, thrust and magnitudes of every individual, from all episodes of ``demos``.
+    """Fit damping, thrust and magnitudes of every individual to all episodes of ``demos``.
 
     ``thrusts`` is the number of magnitudes, M. One that never moves stops at once (d = 1) and has
     the largest thrust of the others, so that no push explains a step of it. Raises InputError if
@@ -91,7 +91,7 @@ def fit_joint(
     least_speed: float = 0.0,
     far: float = FAR,
 ) -> Locomotion:
-    """Damping and thrust of one individual by least squares without tracking jumps.
+    """Fit damping and thrust of one individual by least squares without tracking jumps.
 
     The terminal speed ``u dt / d`` is at least ``least_speed`` [arena unit / s]; ``far`` says which
     misses are tracking jumps (``FAR``; infinity: none), and ``name`` is for messages. Raises
@@ -109,7 +109,7 @@ def fit_joint(
 
 
 def fast_speed(data: Transitions) -> float:
-    """The speed that a fit must be able to reach [arena unit / s]."""
+    """Return the speed that a fit must be able to reach [arena unit / s]."""
     speed = np.hypot(data.next_velocity[:, 0], data.next_velocity[:, 1])
     return float(np.quantile(speed, FAST)) if len(speed) else 0.0
 
@@ -121,7 +121,7 @@ def best_of(
     tolerance: float = TOLERANCE,
     far: float = FAR,
 ) -> tuple[float, Floats]:
-    """The best (d, thrusts) to which any of several starting points leads.
+    """Return the best (d, thrusts) to which any of several starting points leads.
 
     Thrusts are ``(M,)`` [arena unit / s^2]; ``tolerance`` is the relative change of d and of the
     thrusts at which the search ends.
@@ -134,7 +134,7 @@ def best_of(
 def bootstrap_joint(
     data: Transitions, fitted: Locomotion, weights: Floats, least_speed: float = 0.0
 ) -> Floats:
-    """Resampled (d, u), ``(resamples, 2)``, by one Newton step from a fit of one thrust magnitude.
+    """Return resampled (d, u), ``(resamples, 2)``, by one Newton step from a fit of one thrust.
 
     Each episode contributes its own gradient g_e of the objective; a resample that draws episode e
     ``w_e`` times moves the optimum by ``-H_w^-1 sum_e w_e g_e``. The curvature H_w is that of all
@@ -167,7 +167,7 @@ def bootstrap_joint(
 
 
 def _starting_points(data: Transitions) -> list[tuple[float, float]]:
-    """The most promising cells of a grid over d and u."""
+    """Return the most promising cells of a grid over d and u."""
     every = max(1, len(data) // GRID_STEPS)
     few = replace(
         data,
@@ -194,7 +194,10 @@ def _alternate(
     tolerance: float,
     far: float,
 ) -> tuple[float, Floats, float]:
-    """Assign actions, trim, solve; until nothing changes. Returns d, thrusts and the mean loss."""
+    """Alternate until nothing changes: assign actions, leave jumps out, solve.
+
+    Returns d, thrusts and the mean loss.
+    """
     for _ in range(ITERATIONS):
         error, action, level = nearest_actions(data, damping, thrusts)
         vv, vn, va, aa, an = sums(
@@ -220,7 +223,7 @@ def _alternate(
 def nearest_actions(
     data: Transitions, damping: float, thrusts: Floats
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Of every step the squared miss of the nearest action, its vector, and which thrust it has."""
+    """Return for every step the nearest action's squared miss, vector and thrust number."""
     found = np.empty(len(data)), np.empty((len(data), 2)), np.empty(len(data), dtype=np.int64)
     assign(data.velocity, data.next_velocity, data.focus, damping, thrusts * data.dt, *found)
     return found
@@ -236,7 +239,7 @@ def _solve(
     dt: float,
     least_speed: float,
 ) -> tuple[float, Floats]:
-    """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`sums`.
+    """Solve v' = (1 - d) v + sum_j u_j (dt a_j) by least squares, from its :func:`sums`.
 
     The terminal speed of the largest thrust is at least ``least_speed``. A thrust that no step is
     nearest to stays what it was.
@@ -267,7 +270,7 @@ def _solve(
 
 
 def _limit(error: Floats, far: float = FAR) -> float:
-    """Squared error beyond which a step is a tracking jump."""
+    """Return the squared error beyond which a step is a tracking jump."""
     if math.isinf(far):
         return math.inf
     rank = math.ceil(BULK * len(error)) - 1
@@ -275,12 +278,12 @@ def _limit(error: Floats, far: float = FAR) -> float:
 
 
 def _loss(error: Floats, far: float = FAR) -> float:
-    """Mean squared error with jumps counted at the limit."""
+    """Return the mean squared error, jumps counted at the limit."""
     return float(np.minimum(error, _limit(error, far)).mean())
 
 
 def _gradients(data: Transitions, point: Floats) -> Floats:
-    """Half the gradient of the loss by (d, u), per episode ``(episodes, 2)``."""
+    """Return half the gradient of the loss by (d, u), per episode ``(episodes, 2)``."""
     error, action, _ = nearest_actions(data, point[0], point[1:])
     kept = error <= _limit(error)
     impulse = data.dt * action
@@ -292,7 +295,7 @@ def _gradients(data: Transitions, point: Floats) -> Floats:
 
 
 def _with_multiples(data: Transitions, one: Locomotion, multiples: Sequence[float]) -> Locomotion:
-    """The one-magnitude fit with fixed multiples, damped little enough to reach the fast speed."""
+    """Return a fit with fixed multiples, damped little enough to reach the fast speed."""
     fast = fast_speed(data)
     largest = one.thrust * multiples[0] * data.dt
     damping = one.damping if one.damping * fast <= largest else largest / fast
@@ -300,7 +303,7 @@ def _with_multiples(data: Transitions, one: Locomotion, multiples: Sequence[floa
 
 
 def _fit_magnitudes(data: Transitions, one: Locomotion, thrusts: int) -> Locomotion:
-    """d and all thrusts of one individual by least squares."""
+    """Fit d and all thrusts of one individual by least squares."""
     rest = locomotion.residual(data.next_velocity, data.velocity, one.damping)
     length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
     length = length[length > 0.5 * min(fixed_multiples(thrusts)) * one.thrust]
@@ -323,7 +326,7 @@ def _fit_magnitudes(data: Transitions, one: Locomotion, thrusts: int) -> Locomot
 def assign(  # type: ignore[no-untyped-def]
     velocity, next_velocity, focus, damping, impulses, error, action, level
 ):
-    """Nearest of the actions to each observed acceleration.
+    """Find the action nearest to each observed acceleration.
 
     ``impulses`` ``(M,)`` are the thrusts times dt. Writes the squared error ``(steps,)`` of the
     rebuilt velocity, the action's unit vector in the arena frame ``(steps, 2)``, zero for coasting,
@@ -364,7 +367,7 @@ def assign(  # type: ignore[no-untyped-def]
 
 @jit
 def sums(velocity, next_velocity, action, level, error, limit, dt, thrusts):  # type: ignore[no-untyped-def]
-    """Inner products over the steps with ``error <= limit``, those with actions per thrust."""
+    """Return inner products over steps with ``error <= limit``; with actions, per thrust."""
     vv, vn = 0.0, 0.0
     va, aa, an = np.zeros(thrusts), np.zeros(thrusts), np.zeros(thrusts)
     for t in range(velocity.shape[0]):

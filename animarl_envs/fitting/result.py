@@ -33,10 +33,10 @@ Method = Literal["joint", "onset", "species"]
 Interval = tuple[float, float]
 CONFIDENCE = 0.95  # of intervals
 BOOTSTRAP = 1000
-TOO_FAST = 2.0  # terminal speeds beyond so many times the top speed seen
-MATTERS = 0.1  # relative difference of d that is worth a warning, if it is beyond the interval
-NOISY = 0.1  # tracking noise, in median steps, beyond which the joint fit overestimates u
-ALIKE = 1e-6  # differences of d up to it are of rounding
+MAX_TERMINAL_SPEED = 2.0  # in recorded top speeds, above which a fit is doubtful
+MAX_DAMPING_CHANGE = 0.1  # relative, beyond the interval, when tracking jumps are left in
+MAX_NOISE = 0.1  # of tracking, in median steps, beyond which the joint fit overestimates u
+ROUNDING = 1e-6  # of differences of d
 NEAR_ZERO = 1e-3  # an interval of d that begins below it reaches zero
 SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species counts as resting
 
@@ -66,6 +66,7 @@ class IndividualFit:
 
     @property
     def locomotion(self) -> Locomotion:
+        """The parameters for a species spec."""
         return Locomotion(self.damping, self.thrust, self.magnitudes)
 
 
@@ -130,8 +131,8 @@ def fit_locomotion(
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
-    Raises InputError if a split is empty, nobody moves, one never moves whom the onset rule
-    is asked for, or the onset fit finds no onset.
+    Raises InputError if a split is empty, no individual moves, or the onset rule finds no onset of
+    an individual.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def fit_locomotion(
     bootstrap
         Resamples of episodes for the intervals; 0 leaves them out.
     seed
-        Of the resampling.
+        Seed of the resampling.
     known
         Parameters of each individual, for method ``"species"``.
     """
@@ -226,7 +227,7 @@ def fit_locomotion(
 
 
 def default_onset_threshold(demos: Demonstrations) -> float:
-    """th_acc [arena unit / s^2] of the species, or for a user's own species from the tracks.
+    """Return th_acc [arena unit / s^2] of the species, or for an own species from the tracks.
 
     The agents' published threshold calls 0.03 unit / s "at rest", about 3 % of their top speed.
     That share of the 99th percentile of all speeds is taken here.
@@ -241,7 +242,7 @@ def default_onset_threshold(demos: Demonstrations) -> float:
 
 
 def resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.float64] | None:
-    """How often each resample draws each episode, ``(resamples, episodes)``."""
+    """Return how often each resample draws each episode, ``(resamples, episodes)``."""
     if resamples < 0:
         raise InputError(f"bootstrap is {resamples}: it must be 0 or a number of resamples")
     if resamples == 0 or episodes < 2:
@@ -264,7 +265,7 @@ def percentiles(
 
 
 def braking_time(damping: float, dt: float) -> float:
-    """Time in which coasting loses all but 1/e of the speed, ``-dt / ln(1 - d)`` [s]."""
+    """Return the time in which coasting leaves 1/e of the speed, ``-dt / ln(1 - d)`` [s]."""
     if damping == 0:
         return math.inf
     return 0.0 if damping == 1 else -dt / math.log1p(-damping)
@@ -288,7 +289,7 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         if one.top_speed == 0:
             still.append(one.name)
             continue
-        if one.terminal_speed > TOO_FAST * one.top_speed:
+        if one.terminal_speed > MAX_TERMINAL_SPEED * one.top_speed:
             fast.append(
                 f"{one.name} would reach {one.terminal_speed:.3g} arena units/s, "
                 f"{one.terminal_speed / one.top_speed:.1f} times the top speed seen "
@@ -302,15 +303,15 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
         steps = np.linalg.norm(seen.velocities()[:, own], axis=-1) * seen.dt
         noise = tracking_noise(each.positions[:, own] for each in seen)
         share = noise / float(np.median(steps[steps > 0]))
-        if share > NOISY and not seen.synthetic:
+        if share > MAX_NOISE and not seen.synthetic:
             noisy.append(f"{one.name}: {share:.0%}")
         if len(one.magnitudes) > 1:
             continue
         data = transitions(seen, i)
         whole = fit_joint(data, one.name, fast_speed(data), far=math.inf)
         low, high = one.damping_interval or (one.damping, one.damping)
-        change = abs(whole.damping - one.damping)
-        if not low <= whole.damping <= high and change > MATTERS * one.damping + ALIKE:
+        change = abs(whole.damping - one.damping) - ROUNDING
+        if not low <= whole.damping <= high and change > MAX_DAMPING_CHANGE * one.damping:
             jumps.append(
                 f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without them, "
                 f"{whole.damping:.3g} and {whole.thrust:.3g} with them"

@@ -98,7 +98,7 @@ def track(
 def one_step_misses(
     demos: Demonstrations, locomotion: Sequence[Locomotion], tracking: Tracking | None = None
 ) -> Floats:
-    """How far each action leads from where the animal went next, ``(frames, K, 12 M + 1)``.
+    """Return how far each action leads from the next recorded state, ``(frames, K, 12 M + 1)``.
 
     The smallest miss is that of the action which inverse dynamics infers, for both compare the same
     vectors. The states are those of ``tracking``, by default the recorded ones. A miss is
@@ -124,16 +124,17 @@ def one_step_misses(
 
 
 def tracking_errors(demos: Demonstrations, tracking: Tracking) -> Floats:
-    """Median distance from the recorded position over all steps, ``(K,)`` [arena unit]."""
+    """Return the median distance from the recorded position, ``(K,)`` [arena unit]."""
     reached = step_frames(demos) + 1
     apart = tracking.positions[reached] - demos.positions[reached]
     return np.asarray(np.median(np.hypot(apart[..., 0], apart[..., 1]), axis=0))
 
 
 def speed_distances(demos: Demonstrations, tracking: Tracking) -> Floats:
-    """Wasserstein distance of tracked and recorded speeds over the mean recorded speed, ``(K,)``.
+    """Return the distance of tracked from recorded speeds in mean recorded speeds, ``(K,)``.
 
-    Zero for an individual that never moves, in the recording and in the tracking.
+    It is the Wasserstein distance, zero for an individual that moves neither in the recording nor
+    in the tracking.
     """
     reached = step_frames(demos) + 1
     speeds = [
@@ -174,7 +175,7 @@ def _follow(  # type: ignore[no-untyped-def]
     actions,
     course,
 ):
-    """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
+    """Record state ``t`` of every episode and advance it to the next, ``(K, 2, episodes)``.
 
     ``course`` ``(K, 2, episodes)`` is where they have been going.
     """

@@ -42,7 +42,7 @@ class Transitions:
 
 
 def transitions(demos: Demonstrations, individual: int) -> Transitions:
-    """The transitions of ``individual`` (an index), episodes end to end.
+    """Return the transitions of ``individual`` (an index), episodes end to end.
 
     Last steps that are shorter than the others are left out. Animals of a group that are alike
     have one locomotion, so these are the transitions of them all.
@@ -62,14 +62,14 @@ def transitions(demos: Demonstrations, individual: int) -> Transitions:
 
 
 def step_frames(demos: Demonstrations) -> NDArray[np.int64]:
-    """Frames at which a decision was taken: all but the last of each episode."""
+    """Return the frames at which a decision was taken: all but the last of each episode."""
     last = np.zeros(len(demos.positions), dtype=bool)
     last[demos.offsets[1:] - 1] = True
     return np.flatnonzero(~last)
 
 
 def whole_steps(demos: Demonstrations) -> NDArray[np.int64]:
-    """Those of :func:`step_frames` from which the step is not shorter than the others."""
+    """Return those of :func:`step_frames` whose step is not shorter than the others."""
     steps = step_frames(demos)
     return steps[demos.intervals()[steps + 1] > 0.999 * demos.dt]
 
@@ -77,7 +77,7 @@ def whole_steps(demos: Demonstrations) -> NDArray[np.int64]:
 def demonstrated_actions(
     demos: Demonstrations, locomotion: Sequence[Locomotion]
 ) -> NDArray[np.int8]:
-    """Actions of K individuals by inverse dynamics, with the ``locomotion`` of each.
+    """Infer the actions of K individuals by inverse dynamics, with the ``locomotion`` of each.
 
     Returns ``(frames, K)`` int8: the action that led from each frame to the next, -1 at last
     frames.
@@ -97,7 +97,7 @@ def demonstrated_actions(
 
 
 def velocity_rmse(demos: Demonstrations, individual: int, locomotion: Locomotion) -> float:
-    """Velocity RMSE of the paper's Table 1, for one individual [arena unit / s].
+    """Return the velocity RMSE of the paper's Table 1 of one individual [arena unit / s].
 
     The velocity rebuilt from the nearest of the actions is compared with the next observed one;
     the error is the Euclidean length of their difference, and its root mean square over all steps
@@ -145,7 +145,7 @@ def onset_data(demos: Demonstrations, individual: int, onset_threshold: float) -
 
 
 def fit_onset(demos: Demonstrations, individual: int, onset_threshold: float) -> Locomotion:
-    """Damping and thrust of one individual by the paper's rule.
+    """Fit damping and thrust of one individual by the paper's rule.
 
     Raises InputError if there is no onset, or the individual is faster at onsets than at its top
     speed.
@@ -189,7 +189,7 @@ def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np
 
 
 def _top_median(speed: NDArray[np.float64]) -> float:
-    """Median of the ascending speeds above their quantile; the top one where these are equal."""
+    """Return the median of ascending speeds above their quantile; the top one if all are equal."""
     if len(speed) == 0:
         return 0.0
     position = TOP_QUANTILE * (len(speed) - 1)

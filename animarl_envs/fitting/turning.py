@@ -29,7 +29,7 @@ LOWEST, HIGHEST = (0.0, 1e-3, -3.1), (0.95, 3.1, 3.1)
 
 
 def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
-    """Turning of one recorded individual by least squares.
+    """Fit the turning of one recorded individual by least squares.
 
     ``None`` where no headings are recorded, where it never moves, or where the body points where it
     walks: there the direction of travel predicts the next heading better.
@@ -82,7 +82,10 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
 
 
 def along_travel(demos: Demonstrations, individual: int = 0) -> Floats:
-    """Heading of a body that points where it walks ``(frames,)`` [rad]; at rest it is kept."""
+    """Return headings of a body that points where it walks, ``(frames,)`` [rad].
+
+    At rest the heading stays.
+    """
     heading, velocity = _recorded(demos, individual)
     out = np.arctan2(velocity[:, 1], velocity[:, 0])
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > 0
@@ -93,7 +96,10 @@ def along_travel(demos: Demonstrations, individual: int = 0) -> Floats:
 
 
 def free_running(demos: Demonstrations, turning: Turning, individual: int = 0) -> Floats:
-    """Headings ``(frames,)`` [rad] by the recorded velocities and each episode's first heading."""
+    """Return headings ``(frames,)`` [rad] predicted from each episode's first heading alone.
+
+    The velocities are the recorded ones.
+    """
     heading, velocity = _recorded(demos, individual)
     out = heading.copy()
     for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
@@ -105,8 +111,11 @@ def free_running(demos: Demonstrations, turning: Turning, individual: int = 0) -
 
 
 def heading_misses(demos: Demonstrations, rule: Turning | Floats, individual: int = 0) -> Floats:
-    """Absolute differences from the recorded headings ``(2, steps)`` [rad], at all but first
-    frames: after one step from the recorded state, and running free from the first one."""
+    """Return absolute differences from the recorded headings ``(2, steps)`` [rad].
+
+    They are of all frames but the first: after one step from the recorded state, and running free
+    from the first frame on.
+    """
     heading, velocity = _recorded(demos, individual)
     steps = _steps(demos)
     if isinstance(rule, Turning):
@@ -121,7 +130,7 @@ def heading_misses(demos: Demonstrations, rule: Turning | Floats, individual: in
 
 
 def _recorded(demos: Demonstrations, individual: int) -> tuple[Floats, Floats]:
-    """Headings ``(frames,)`` and velocities ``(frames, 2)``."""
+    """Return headings ``(frames,)`` and velocities ``(frames, 2)``."""
     heading = demos.headings()
     if heading is None:
         columns = demos.signals[HEADING][:1].size
@@ -133,14 +142,14 @@ def _recorded(demos: Demonstrations, individual: int) -> tuple[Floats, Floats]:
 
 
 def _steps(demos: Demonstrations) -> NDArray[np.int64]:
-    """All frames but the first of each episode."""
+    """Return all frames but the first of each episode."""
     return np.setdiff1d(np.arange(len(demos.positions)), demos.offsets[:-1])
 
 
 def _chords(
     turning: Turning, heading: Floats, turn: Floats, velocity: Floats, wanted: Floats
 ) -> Floats:
-    """Chords ``(horizon * n,)`` from recorded headings ``(horizon, n)``, running free.
+    """Return chords ``(horizon * n,)`` from recorded headings ``(horizon, n)``, running free.
 
     ``heading`` and the last ``turn`` ``(n,)`` are those of the starts, ``velocity``
     ``(horizon, n, 2)`` of the steps that follow.

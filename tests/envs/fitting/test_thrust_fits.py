@@ -14,7 +14,7 @@ from thrust_walks import DT, ROLES, TRUTH, walk
 
 import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_algos.cli.fit import parse_numbers
-from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
+from animarl_algos.evaluation.thrust_choice import MIN_IMPROVEMENT, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.joint import fast_speed, fit_joint, joint_locomotion
@@ -167,7 +167,7 @@ def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
         found = float(row["thrust"]) * np.array(row["magnitudes"].split(), dtype=float)
         np.testing.assert_allclose(found, truth.thrust * np.array(truth.magnitudes), rtol=1e-4)
         assert float(row["tracking_error"]) < 1e-3 < float(rows[0]["tracking_error"])
-        assert float(row["floor"]) < float(rows[0]["floor"]) - GAIN
+        assert float(row["floor"]) < float(rows[0]["floor"]) - MIN_IMPROVEMENT
     assert "Chosen on training episodes: 3, the fewest whose floor (" in said
 
 
