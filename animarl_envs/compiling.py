@@ -57,7 +57,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
         self._collects = False
 
     def on_start(self, of: Any) -> None:
-        """A compilation begins, perhaps within another; what is found on the disk begins none."""
+        """Note that a compilation begins, perhaps within another; one read from disk is none."""
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
@@ -76,7 +76,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
             print(COMPILING, file=sys.stderr, flush=True)
 
     def on_end(self, of: Any) -> None:
-        """Go on with what it was a part of."""
+        """Note that a compilation has ended."""
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
@@ -149,7 +149,7 @@ class JointLibrary(PartLibrary):
 
 
 class PartCompiler(Compiler):  # type: ignore[misc]
-    """Compiles a part as far as its kernel needs it."""
+    """A compiler of parts, which goes as far as their kernel needs."""
 
     library: type[PartLibrary] = PartLibrary
 
@@ -161,7 +161,7 @@ class PartCompiler(Compiler):  # type: ignore[misc]
 
 
 class JointCompiler(PartCompiler):
-    """Compiles what calls parts."""
+    """A compiler of what calls parts."""
 
     library = JointLibrary
 
@@ -178,7 +178,7 @@ class PartDispatcher(CPUDispatcher):  # type: ignore[misc]
 
 @contextmanager
 def _cache_folder(package: str) -> Iterator[None]:
-    """numba takes a kernel's folder from its settings, once, when it is decorated."""
+    """Set the folder in which numba keeps the kernel that is decorated meanwhile."""
     of_user = _SETTINGS.CACHE_DIR
     _SETTINGS.CACHE_DIR = str(_folder(package, of_user))
     try:
@@ -209,7 +209,7 @@ def _can_write(folder: Path) -> bool:
 
 @functools.cache
 def _temporary() -> Path:
-    """A folder of this process alone: a shared one could hold code that somebody else put there."""
+    """Return a folder of this process alone: in a shared one could lie code of somebody else."""
     folder = Path(tempfile.mkdtemp(prefix="animarl-kernels-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     warnings.warn(
@@ -222,7 +222,7 @@ def _temporary() -> Path:
 
 @functools.cache
 def source_key(package: str) -> str:
-    """Hash of numba's version and of the sources that kernels of a package are made of.
+    """Return a hash of numba's version and of the sources that a package's kernels are made of.
 
     These are the modules of the environments and of ``package`` that have kernels, those that such
     modules take constants from, and those that they import whole.

@@ -25,9 +25,7 @@ CANDIDATES = (1, 2, 3, 5, 8)
 GOOD_FLOOR = 2 / 3  # needs no further magnitude
 MIN_IMPROVEMENT = 0.05  # by which the floor must fall to be worth more actions
 MAX_INTERVAL_WIDTH = 1 / 3  # a wider interval of the floor decides nothing
-DEFAULT_THRUSTS = (
-    3  # then a guess between one (artificial chasers) and five (recorded moths, flies)
-)
+DEFAULT_THRUSTS = 3  # then: a guess between one (artificial chasers) and five (moths, flies)
 MIN_EPISODES = 10  # with fewer, parts of episodes are dealt to the classifier's folds
 
 
@@ -76,6 +74,6 @@ def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:
     lowest = min(floors.values())
     chosen = next(m for m, floor in floors.items() if floor <= lowest + MIN_IMPROVEMENT)
     return chosen, (
-        f"the fewest whose floor ({floors[chosen]:.2f}) is within {MIN_IMPROVEMENT:g} of the lowest "
-        f"({lowest:.2f}) of {', '.join(map(str, floors))}"
+        f"the fewest whose floor ({floors[chosen]:.2f}) is within {MIN_IMPROVEMENT:g} of the "
+        f"lowest ({lowest:.2f}) of {', '.join(map(str, floors))}"
     )

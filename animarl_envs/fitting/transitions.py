@@ -38,6 +38,7 @@ class Transitions:
     dt: float
 
     def __len__(self) -> int:
+        """Return the number of steps."""
         return len(self.velocity)
 
 
