@@ -8,6 +8,7 @@ that inverse dynamics finds in the recording.
 """
 
 import argparse
+from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -52,14 +53,14 @@ def draw_values(q_values: NDArray[np.float64], actions: NDArray[np.integer], dt:
     return figure
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Read the arguments and draw one episode."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", help="a run folder, or a packaged model such as fly")
     parser.add_argument("--episode", type=int, default=0, help="number in the test split")
     parser.add_argument("--individual", help="by default the first")
     parser.add_argument("--out", default="values.png")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     run = load_run(given.run)
     learned = run.learned_individuals
     number = learned.index(given.individual) if given.individual else 0

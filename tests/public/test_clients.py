@@ -12,7 +12,8 @@ from pages import load_script
 ROOT = Path(__file__).parents[2]
 
 
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+VALUES = ROOT / "examples" / "inspect_episode.py"  # of no other library
+EXAMPLES = sorted(set((ROOT / "examples").glob("*.py")) - {VALUES})
 PAGE = load_script(ROOT / "docs" / "make_clients_page.py")
 CLIENTS = PAGE.CLIENTS
 OWN = {client.name: client for client in CLIENTS if client.own}
@@ -73,3 +74,9 @@ def test_the_page_names_every_example_and_a_version_of_every_library():
         assert client.summary in row
         for library in client.libraries:
             assert re.search(rf"{library} \d+\.\d+", row)
+
+
+def test_action_values_of_an_episode_are_drawn(tmp_path):
+    out = tmp_path / "values.png"
+    load_script(VALUES).main(["fly", "--episode", "1", "--individual", "female", "--out", str(out)])
+    assert out.read_bytes().startswith(b"\x89PNG")

@@ -129,14 +129,12 @@ class StepCounter:
 
 
 @pytest.mark.parametrize("focal", [None, "prey"])
-def test_action_values_follow_the_recorded_path(
-    focal: str | None, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_action_values_follow_the_recorded_path(focal: str | None, run: Run) -> None:
     """The policy's memory goes on, its own last actions are the recorded ones, it sees the flag."""
     counter, layout = StepCounter(), SimpleNamespace(condition_flag=True)
     loaded = load_run(run.path)
     vars(loaded)["settings"] = loaded.settings.model_copy(update={"focal": focal})
-    monkeypatch.setattr(Run, "policy", SimpleNamespace(policy=counter, layout=layout))
+    vars(loaded)["policy"] = SimpleNamespace(policy=counter, layout=layout)
     one = loaded.demos.select(split="test").select(episodes=[1])
     columns = [2] if focal else [0, 1, 2]
     values = loaded.action_values(1)
