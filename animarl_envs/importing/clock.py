@@ -144,7 +144,7 @@ def _rate_of_frames(
     residual = float((off[use] / usual).max())
     cuts = ~even
     cuts[1:] |= np.diff(group[before]) != 0
-    line, row = np.cumsum(cuts)[even & rising], after[even & rising]
+    line, row = np.cumsum(cuts, dtype=np.int64)[even & rising], after[even & rising]
     x, y = (_centred(values[row].astype(np.float64), line) for values in (frames, time))
     slope = float((x * x).sum() / (x * y).sum()) if np.ptp(x) > 0 else count / lasted
     whole, coarse = _whole(slope), digit * slope > 1

@@ -160,8 +160,8 @@ def read_trex(path: Path, fps: float | None = None, unit: str | None = None) -> 
         told[RATE_FROM] = "the array frame_rate"
     if {"midline_length", "cm_per_pixel"} <= arrays.keys() and unit in (None, "cm"):
         pixels = numbers(path, "midline_length", arrays["midline_length"].ravel(), count)
-        if len(known := pixels[np.isfinite(pixels)]):
-            told[BODY_LENGTH] = float(np.median(known)) * (_number(arrays["cm_per_pixel"]) or 1.0)
+        if len(seen := pixels[np.isfinite(pixels)]):
+            told[BODY_LENGTH] = float(np.median(seen)) * (_number(arrays["cm_per_pixel"]) or 1.0)
     match = _TREX_NAME.match(path.stem)
     return [
         Tracks(
