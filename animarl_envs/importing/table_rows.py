@@ -5,7 +5,7 @@ import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,39 @@ ORDERED = 0.99  # share of rows in which corners of a box are left of and above 
 STEADY = 0.5  # spread of the size of a box, of that of its centre; of two animals it is more
 
 
+@dataclass(eq=False)
+class _Rows:
+    """Rows of a table: their numbers by column, and the recording, individual and keypoint of each.
+
+    ``line`` is the row of the table that each is of. Without ``names`` of individuals or of
+    ``points`` the header has them. ``time`` is the column of the clock, where it counts.
+    """
+
+    number: dict[str, Floats]
+    line: Whole
+    recordings: list[str]
+    recording: Whole
+    names: list[str]
+    individual: Whole
+    points: list[str]
+    point: Whole
+    time: Floats | tables.Words | None
+
+    @property
+    def track(self) -> Whole:
+        """A number for each recording, individual and keypoint."""
+        body = self.recording * max(len(self.names), 1) + self.individual
+        return body * max(len(self.points), 1) + self.point
+
+    def interpolate(self, low: Whole, high: Whole, share: Floats) -> None:
+        """Replace the rows by others between rows ``low`` and ``high`` of the same track."""
+        self.number = {
+            key: own[low] + share * (own[high] - own[low]) for key, own in self.number.items()
+        }
+        for name in ("line", "recording", "individual", "point"):
+            setattr(self, name, getattr(self, name)[low])
+
+
 def tracks_of_rows(
     table: tables.Table,
     found: Columns,
@@ -66,123 +99,178 @@ def tracks_of_rows(
     Individuals and keypoints are named by columns of the rows, or by positions of the header;
     ``stated`` says that an option names them.
     """
-    path, read_as = table.path, table.description
-    extra = {HEADING: heading} if heading else {}
+    told: dict[str, Any] = {"file": table.path.name, "read_as": table.description}
+    rows, found = _read_rows(table, found, fps, progress, heading, stated, told)
+    fps, frames, start = _frames_of(table, found, rows, fps, heading, told)
+    if rows.names and _is_sparse(frames, rows.recording, len(rows.names)):
+        start = _split_tracks(rows, frames, start, told)
+    tracks = []
+    for at in range(len(rows.recordings)):
+        own = np.flatnonzero(rows.recording == at)
+        record = _place_rows(table, found, rows, own, frames[own], heading)
+        tracks.append(
+            Tracks(
+                recording=rows.recordings[at],
+                frame_rate=fps,
+                unit=found.unit or "px",
+                y_down=y_down,
+                start_time=float(start[at]),
+                provenance=told,
+                **record,
+            )
+        )
+    return _centre_arenas(tracks) if found.arena else tracks
+
+
+def _read_rows(
+    table: tables.Table,
+    found: Columns,
+    fps: float | None,
+    progress: tables.Progress,
+    heading: str | None,
+    stated: bool,
+    told: dict[str, Any],
+) -> tuple[_Rows, Columns]:
+    """Return the rows, and the columns as their numbers show them: boxes, metres.
+
+    What is not used, and what an import says, goes to ``told``.
+    """
     clock = found.time if found.frame is None or fps is None else None
-    scores = [position.score or found.confidence for position in found.positions]
-    numbers = [*itertools.chain(*(one.columns for one in found.positions)), *scores]
-    numbers += [*extra.values(), found.frame]
+    numbers = [*itertools.chain(*(one.columns for one in found.positions)), heading, found.frame]
+    numbers += [position.score or found.confidence for position in found.positions]
     slots = list(found.tracks.values())
     texts = [found.individual, found.keypoint, found.recording, found.arena, *slots]
     (texts if clock in table.words_in else numbers).append(clock)
     used = {*numbers, *texts, found.time}
-    told: dict[str, Any] = {"file": path.name}
     if unused := [name for name in table.names if name and name not in used]:
         told["columns_not_used"] = unused
     number, word = table.columns(
         [*filter(None, numbers)], [*filter(None, texts)], progress, may_be_empty=slots
     )
     notes = table.notes
-    row = np.arange(len(next(iter(number.values()))))  # of each, where it is in the table
+    line = np.arange(len(next(iter(number.values()))))
     if slots:
-        number, word, found, row = _stack_slots(number, word, found)
+        number, word, found, line = _stack_slots(number, word, found)
     if found.unit == DEGREES:
-        notes.append(_project(path, number, found))
+        notes.append(_project(table.path, number, found))
         found = replace(found, unit="m")
     if not stated:
         found = _with_boxes(table, found, number)
-    zeros = np.zeros(len(row), dtype=np.int64)
-    sets = _recordings_of(path, found, word, zeros)
-    recording = sets.number
-    names, who, points, point = _bodies_of(path, found, word, zeros, stated)
-    notes += _notes_on(found, points)
+    zeros = np.zeros(len(line), dtype=np.int64)
+    sets = _recordings_of(table.path, found, word, zeros)
+    bodies = _bodies_of(table.path, found, word, zeros, stated)
+    time = None if clock is None else word.get(clock) or number[clock]
+    rows = _Rows(number, line, sets.entries, sets.number, *bodies, time)
+    notes += _notes_on(found, rows.points)
     if is_idtracker(table):
         notes.append("the columns are those of idTracker: y is taken to grow downwards")
-    start = np.zeros(len(sets.entries))
+    if notes:
+        told["notes"] = notes
+    return rows, found
+
+
+def _frames_of(
+    table: tables.Table,
+    found: Columns,
+    rows: _Rows,
+    fps: float | None,
+    heading: str | None,
+    told: dict[str, Any],
+) -> tuple[float | None, Whole, Floats]:
+    """Return the rate [Hz], the frame of each row and the time of frame 0 of each recording.
+
+    Rows of an irregular clock are resampled.
+    """
+    path, start = table.path, np.zeros(len(rows.recordings))
+    frames = np.zeros(len(rows.line), dtype=np.int64)
     if found.frame is not None:
-        frames = frame_numbers(table, found.frame, number[found.frame])
-    elif clock is None:
-        frames = zeros.copy()
-        for at in range(len(sets.entries)):
-            frames[recording == at] = np.arange(np.count_nonzero(recording == at))
-    if clock is not None:
-        time_unit = found.time_unit or parsed_names([clock], table.units)[0].unit
-        when = seconds(path, clock, word.get(clock) or number[clock], time_unit or None)
-        unsaid = None if time_unit or clock in word else clock
-        told[RATE_FROM] = (
-            f"the column {clock} ({'times of day' if clock in word else time_unit or 's'})"
+        frames = frame_numbers(table, found.frame, rows.number[found.frame])
+    elif rows.time is None:
+        for at in range(len(rows.recordings)):
+            own = rows.recording == at
+            frames[own] = np.arange(np.count_nonzero(own))
+    if rows.time is None:
+        return fps, frames, start
+    assert found.time is not None
+    is_text = isinstance(rows.time, tables.Words)
+    unit = found.time_unit or parsed_names([found.time], table.units)[0].unit
+    when = seconds(path, found.time, rows.time, unit or None)
+    unsaid = None if unit or is_text else found.time
+    told[RATE_FROM] = f"the column {found.time} ({'times of day' if is_text else unit or 's'})"
+    if found.frame is not None:
+        fitted = fit_clock(path, when, rows.recording, table.place, frames, unsaid=unsaid)
+        return fitted.rate, frames, start
+    refuse_times_going_back(path, when, rows.track, table.place)
+    if fps is None and (fps := irregular_rate(path, when, rows.track)) is not None:
+        require(
+            heading is None,
+            f"{path}: its clock is irregular, and headings are not resampled: give rows at even "
+            "times",
         )
-        if found.frame is not None:
-            fps = fit_clock(path, when, recording, table.place, frames, unsaid=unsaid).rate
-        else:
-            track = (recording * max(len(names), 1) + who) * max(len(points), 1) + point
-            refuse_times_going_back(path, when, track, table.place)
-            if fps is None and (fps := irregular_rate(path, when, track)) is not None:
-                require(
-                    HEADING not in extra,
-                    f"{path}: its clock is irregular, and headings are not resampled: give rows at "
-                    "even times",
-                )
-                low, high, share, when = even_rows(when, track, fps)
-                number = {k: v[low] + share * (v[high] - v[low]) for k, v in number.items()}
-                recording, who, point, row = recording[low], who[low], point[low], row[low]
-                read_as += f", irregular clock resampled to {fps:g} Hz"
-                told[RATE_FROM] += ", irregular and resampled"
-            fitted = fit_clock(path, when, recording, table.place, rate=fps, unsaid=unsaid)
-            fps, frames, start = fitted.rate, fitted.frames, fitted.first
-    entries = sets.entries
-    if names and _is_sparse(frames, recording, len(names)):
-        together = np.unique(frames * len(entries) + recording, return_counts=True)[1]
-        kept, recording = np.unique(recording * len(names) + who, return_inverse=True)
-        told |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
-        start = start[kept // len(names)]
-        entries = [f"{entries[k // len(names)]}/{names[k % len(names)]}" for k in kept]
-        names, who = [], np.zeros_like(who)
-    tracks = []
-    for at, name in enumerate(entries):
-        own: Any = np.flatnonzero(recording == at) if len(entries) > 1 else slice(None)
-        individuals = list(dict.fromkeys(one.individual or LONE for one in found.positions))
-        place = zeros[:1]
-        if names:
-            individuals, place = _in_natural_order(names, who[own])
-        parts = points or list(dict.fromkeys(one.keypoint for one in found.positions))
-        first = int(frames[own].min())
-        shape = (int(frames[own].max()) + 1 - first, len(individuals), len(parts))
-        _check_extent(table, name, shape, frames[own], row[own])
-        body = (frames[own] - first) * len(individuals) + (place[who[own]] if names else 0)
-        labels = [f"{a} {part}" if len(parts) > 1 else a for a in individuals for part in parts]
-        cell = body * len(parts) + (point[own] if points else 0)
-        refuse_two_rows(table, name, cell, labels, row[own], first)
-        positions = np.full((*shape, 2), np.nan)
-        confidence = np.full(shape, np.nan) if any(scores) else None
-        for position in found.positions:
-            further = 0 if names else individuals.index(position.individual or LONE)
-            part = point[own] if points else parts.index(position.keypoint)
-            cell = (body + further) * len(parts) + part
-            positions.reshape(-1, 2)[cell] = _places(number, position.columns)[own]
-            score = position.score or found.confidence
-            if confidence is not None and score:
-                confidence.reshape(-1)[cell] = number[score][own]
-        more_of = {key: np.full(shape[:2], np.nan) for key in extra}
-        for key, values in more_of.items():
-            values.reshape(-1)[body] = number[extra[key]][own]
-        tracks.append(
-            Tracks(
-                recording=name,
-                individuals=tuple(individuals),
-                keypoints=tuple(parts),
-                positions=positions,
-                frame_rate=fps,
-                unit=found.unit or "px",
-                y_down=y_down,
-                confidence=confidence,
-                signals=more_of,
-                start=first,
-                start_time=float(start[at]),
-                provenance=told | {"read_as": read_as} | ({"notes": notes} if notes else {}),
-            )
-        )
-    return _centre_arenas(tracks) if found.arena else tracks
+        low, high, share, when = even_rows(when, rows.track, fps)
+        rows.interpolate(low, high, share)
+        told["read_as"] += f", irregular clock resampled to {fps:g} Hz"
+        told[RATE_FROM] += ", irregular and resampled"
+    fitted = fit_clock(path, when, rows.recording, table.place, rate=fps, unsaid=unsaid)
+    return fitted.rate, fitted.frames, fitted.first
+
+
+def _split_tracks(rows: _Rows, frames: Whole, start: Floats, told: dict[str, Any]) -> Floats:
+    """Make each individual of each recording a recording; return the times of their frame 0."""
+    together = np.unique(frames * len(rows.recordings) + rows.recording, return_counts=True)[1]
+    count = len(rows.names)
+    kept, recording = np.unique(rows.recording * count + rows.individual, return_inverse=True)
+    told |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
+    rows.recordings = [f"{rows.recordings[k // count]}/{rows.names[k % count]}" for k in kept]
+    rows.recording, rows.individual = recording.astype(np.int64), np.zeros_like(rows.individual)
+    rows.names = []
+    return np.asarray(start[kept // count])
+
+
+def _place_rows(
+    table: tables.Table,
+    found: Columns,
+    rows: _Rows,
+    own: Whole,
+    frames: Whole,
+    heading: str | None,
+) -> dict[str, Any]:
+    """Return names and arrays of one recording, of its ``own`` rows and the ``frames`` of these."""
+    recording = rows.recordings[int(rows.recording[own[0]])]
+    individuals = list(dict.fromkeys(one.individual or LONE for one in found.positions))
+    place = np.zeros(1, dtype=np.int64)
+    if rows.names:
+        individuals, place = _in_natural_order(rows.names, rows.individual[own])
+    parts = rows.points or list(dict.fromkeys(one.keypoint for one in found.positions))
+    first = int(frames.min())
+    shape = (int(frames.max()) + 1 - first, len(individuals), len(parts))
+    _check_extent(table, recording, shape, frames, rows.line[own])
+    body = (frames - first) * len(individuals) + place[rows.individual[own]]
+    labels = [f"{a} {part}" if len(parts) > 1 else a for a in individuals for part in parts]
+    refuse_two_rows(
+        table, recording, body * len(parts) + rows.point[own], labels, rows.line[own], first
+    )
+    positions, confidence = np.full((*shape, 2), np.nan), np.full(shape, np.nan)
+    scores = [position.score or found.confidence for position in found.positions]
+    for position, score in zip(found.positions, scores, strict=True):
+        further = 0 if rows.names else individuals.index(position.individual or LONE)
+        part = rows.point[own] if rows.points else parts.index(position.keypoint)
+        cell = (body + further) * len(parts) + part
+        positions.reshape(-1, 2)[cell] = _places(rows.number, position.columns)[own]
+        if score is not None:
+            confidence.reshape(-1)[cell] = rows.number[score][own]
+    signals = {}
+    if heading is not None:
+        signals[HEADING] = np.full(shape[:2], np.nan)
+        signals[HEADING].reshape(-1)[body] = rows.number[heading][own]
+    return {
+        "individuals": tuple(individuals),
+        "keypoints": tuple(parts),
+        "positions": positions,
+        "confidence": confidence if any(scores) else None,
+        "signals": signals,
+        "start": first,
+    }
 
 
 def _places(number: Mapping[str, Floats], columns: Sequence[str]) -> Floats:
