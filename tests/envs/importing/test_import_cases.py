@@ -94,6 +94,39 @@ CASES: dict[str, Expected] = {
     "zeros.csv --fps 25": Expected(
         individuals="a b", rate=25, prints=("(0, 0) (60 points)",)
     ),
+    "box1.csv --fps 25": Expected(
+        individuals="individual_0", rate=25, extent=169.873, prints=("the edges of a box",)
+    ),
+    "box2.csv --fps 25": Expected(
+        individuals="individual_0", rate=25, extent=169.873, prints=("the edges of a box",)
+    ),
+    "s_points.csv --fps 30 --target none": Expected(
+        individuals="m0 m1", rate=30, extent=211.427, prints=("individual: head, tail",)
+    ),
+    "s_frames.csv --fps 30 --target none": Expected(
+        individuals="m0 m1", rate=30, extent=211.427, prints=("individual: head, tail",)
+    ),
+    "parts.csv --fps 30": Expected(
+        individuals="individual_0", rate=30, extent=169.873, prints=("nose, tailbase",)
+    ),
+    "arena_long2.csv --fps 25 --target none": Expected(
+        individuals="animal_0 animal_1", rate=25, recordings=2, extent=33.9745
+    ),
+    "dash_pairs.csv --fps 25 --target none": Expected(individuals="a c", rate=25, extent=29.25),
+    "mate.csv --fps 25 --target none": Expected(
+        individuals="individual_0 mate", rate=25, extent=29.25
+    ),
+    "german_blank_line.csv --fps 25": Expected(individuals="m", rate=25, extent=29.5),
+    "velocity_columns.csv --fps 25 --target none": Expected(
+        individuals="male female", rate=25, prints=("not used: vel_x, vel_y",)
+    ),
+    "spread_columns.csv --fps 25 --target none": Expected(
+        individuals="male female", rate=25, prints=("not used: x_std, y_std",)
+    ),
+    "gps.csv --target none": Expected(
+        individuals="lion0 lion1 lion2", rate=1 / 60, unit="m", extent=277.988,
+        prints=("degrees: projected to metres", "not used: event-id"),
+    ),
 }  # fmt: skip
 REFUSED: dict[str, tuple[str, ...]] = {
     "ft-track.mat": ("frame rate", "--fps"),
