@@ -48,9 +48,7 @@ USUAL_NAMES = {
         "chamber chamberid petridish enclosure",
     ),
     "keypoint": (
-        "node nodename keypoint keypointname keypointid bodypart bodyparts bodypartname joint "
-        "landmark marker",
-        "part",
+        "node nodename keypoint keypointname keypointid bodypart bodyparts bodypartname joint",
     ),
     "confidence": ("confidence likelihood score probability prob",),
 }
@@ -187,9 +185,6 @@ def find_columns(table: Layout) -> Columns:
     known = [one for one in parsed_names(table.names) if one.column not in edges]
     parts, unclear = _parts_by_name(known)
     found = Columns(**parts, unclear=tuple(unclear))  # type: ignore[arg-type]
-    if boxes:
-        positions = tuple(Position(columns, name) for name, columns in boxes.items())
-        return replace(found, positions=positions)
     plain = [(x.column, y.column) for x, y in _plain_pairs(known)]
     if len(plain) > 1:
         (x, y), *_ = plain
@@ -203,8 +198,11 @@ def find_columns(table: Layout) -> Columns:
     corners = corners_of(table.names)
     if corners and found.individual and not plain:
         return replace(found, positions=(Position(corners),))
-    found = replace(found, positions=tuple(map(Position, plain)))
-    return _with_named_pairs(found, known)
+    found = _with_named_pairs(replace(found, positions=tuple(map(Position, plain))), known)
+    if boxes and not (found.positions or found.refusal):
+        positions = tuple(Position(columns, name) for name, columns in boxes.items())
+        return replace(found, positions=positions)
+    return found
 
 
 def unit_of(table: Layout, positions: Sequence[Position]) -> str:
@@ -289,15 +287,14 @@ def _with_named_pairs(found: Columns, known: Sequence[Named]) -> Columns:
         Position(pair, individual, part, None if part == CENTROID else _score_of(name, columns))
         for (name, pair), (individual, part) in zip(pairs.items(), bodies or (), strict=True)
     )
-    individuals = {position.individual for position in positions} - {""}
+    parts: dict[str, list[str]] = {}
+    for position in positions:
+        parts.setdefault(position.individual, []).append(position.keypoint)
     tracks = {
-        name: columns[key] for name in individuals if (key := _key(name) + "track") in columns
+        name: columns[key] for name in parts if name and (key := _key(name) + "track") in columns
     }
-    return replace(
-        found,
-        positions=(*found.positions, *positions),
-        tracks=tracks if len(tracks) == len(individuals) else {},
-    )
+    alike = len(tracks) == len(parts) and len(set(map(tuple, parts.values()))) == 1
+    return replace(found, positions=(*found.positions, *positions), tracks=tracks if alike else {})
 
 
 def _why_unclear(

@@ -13,14 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing import tables
-from animarl_envs.importing.clock import (
-    UNEVEN,
-)
+from animarl_envs.importing.clock import UNEVEN
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.table_columns import (
     CLOCKS,
@@ -37,8 +34,6 @@ from animarl_envs.importing.table_columns import (
 from animarl_envs.importing.table_rows import tracks_of_rows
 from animarl_envs.importing.tracks import CENTROID, Tracks
 
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
 Pairs = Mapping[str, Sequence[str] | Mapping[str, Sequence[str]]]
 
 EXAMPLE_RATE = 30  # [Hz], in commands that are suggested

@@ -61,6 +61,7 @@ def columns_of(header: str) -> list[tuple[str, str, str]]:
         ("a_x,a_y,corner1_x,corner1_y,top_left_x,top_left_y", [("a", "centroid", "a_x a_y")]),
         ("xmin,ymin,xmax,ymax", [("", "centroid", "xmin ymin xmax ymax")]),
         ("x_min,y_min,x_max,y_max", [("", "centroid", "x_min y_min x_max y_max")]),
+        ("x,y,xmin,ymin,xmax,ymax", [("", "centroid", "x y")]),
         ("id,x1,y1,x2,y2", [("", "centroid", "x1 y1 x2 y2")]),
         ("bbox_x1,bbox_y1,bbox_x2,bbox_y2", [("", "centroid", "bbox_x1 bbox_y1 bbox_x2 bbox_y2")]),
         ("location-long,location-lat", [("", "centroid", "location-long location-lat")]),
