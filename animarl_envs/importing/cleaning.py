@@ -37,7 +37,7 @@ class Cleaning:
     keypoint: str = option(
         CENTROID, "keypoint", "Body part that is the position; default: mean of the visible ones."
     )
-    heading: tuple[str, str] | None = option(
+    heading: tuple[str, ...] | None = option(
         None, "heading", "Two keypoints; bodies point from the first to the second: thorax,head."
     )
     min_confidence: float | None = option(
