@@ -131,4 +131,5 @@ def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
     fitted = minimize(
         loss_and_gradient, start, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS}
     )
-    return FittedOdour(*unpack(fitted.x))
+    first, bias, last, offset = unpack(fitted.x)
+    return FittedOdour(first, bias, last, offset)
