@@ -201,8 +201,9 @@ def occupancy_map(shares: Floats, title: str, most: float) -> Figure:
 
     with one_panel(2.2, 2.4, "", title=title) as (figure, panel):
         for place, share in np.ndenumerate(shares):
-            look = {"color": style.BLUE.hex, "alpha": float(share) / most, "linewidth": 0}
-            panel.add_patch(Rectangle(place, 1, 1, **look))
+            shade = float(share) / most
+            cell = Rectangle(place, 1, 1, color=style.BLUE.hex, alpha=shade, linewidth=0)
+            panel.add_patch(cell)
         panel.set(xlim=(0, len(shares)), ylim=(0, len(shares)))
         panel.set_aspect("equal")
         panel.set_axis_off()
