@@ -189,7 +189,7 @@ def test_a_change_is_all_that_differs(run: Run) -> None:
 def test_what_would_show_the_policy_something_else_is_refused_by_name(
     options: dict[str, Any], word: str, run: Run
 ) -> None:
-    refuses(f"^{word} what the policy is shown", load_run(run.path).simulate, **options)
+    refuses(f"^{word} the inputs of the policy", load_run(run.path).simulate, **options)
 
 
 def test_the_page_runs_in_ten_lines(
