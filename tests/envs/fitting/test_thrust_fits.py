@@ -78,7 +78,7 @@ def test_the_terminal_speed_reaches_the_fast_steps() -> None:
 def test_impossible_numbers_of_magnitudes_are_refused(thrusts: Any) -> None:
     demos, _ = walk(TRUTH, 9, episodes=10)
     refuses("thrusts is", fit_locomotion, demos, thrusts=thrusts)
-    refuses("the onset rule fits one thrust", fit_locomotion, demos, "onset", thrusts=2, bootstrap=0)
+    refuses("onset rule fits one thrust", fit_locomotion, demos, "onset", thrusts=2, bootstrap=0)
 
 
 def test_exact_tracks_are_followed_exactly() -> None:
