@@ -88,10 +88,12 @@ def test_one_world_of_a_task_has_the_changes_of_its_table(task: str) -> None:
             assert getattr(holder, name) == value
 
 
-# Every learner in one world, and the two kinds of learners in every world.
-PAIRS = dict.fromkeys(
-    [*((name, "AnimaRL/Agent-v0") for name in RECIPES), *itertools.product(("dqn", "bc"), IDS)]
+# Every learner in one world, and the two kinds of learners in every world; cloning there is slow.
+FIRST = dict.fromkeys(
+    [*((name, "AnimaRL/Agent-v0") for name in RECIPES), *itertools.product(("dqn",), IDS)]
 )
+CLONES = [pair for pair in itertools.product(("bc",), IDS) if pair not in FIRST]
+PAIRS = [*FIRST, *(pytest.param(*pair, marks=pytest.mark.slow) for pair in CLONES)]
 
 
 @pytest.mark.parametrize(("name", "env_id"), PAIRS)
