@@ -920,41 +920,54 @@ const AnimaRL = (() => {
     };
   }
 
-  const CLOSE_ENOUGH = 0.02, MOST_TRIES = 10, USUAL_SLOPE = 0.7, FAR_APART = 0.1, LIMITS = [1 / 8, 8];
+  const CLOSE_ENOUGH = 0.02, MOST_TRIES = 24, USUAL_SLOPE = 0.7, LONGEST_STEP = 1.4, NARROWEST = 1e-3, SLOWEST = 1e-12, LIMITS = [1 / 8, 8];
   const clipped = (value, [low, high]) => Math.min(high, Math.max(low, value));
 
-  /**
-   * Find by simulation the factors on thrusts at which individuals reach wanted mean speeds, as
-   * animarl_algos.whatif.answer does. wanted: [[individual, speed, usual speed], ...]. Returns the
-   * factors, the speeds of the last try, and whether all are within 2 %.
-   */
-  async function findThrusts(model, options, wanted, tasks, seed, onProgress = null) {
-    let factors = wanted.map(([, speed, usual]) => clipped(speed / usual, LIMITS));
-    const tried = wanted.map(([, , usual]) => [[0, Math.log(usual)]]);
-    for (let again = 1; ; again++) {
-      const thrust = options.thrust.slice();
-      wanted.forEach(([i], k) => (thrust[i] *= factors[k]));
-      const { results } = await rollOut(model, { ...options, thrust }, tasks, seed);
-      const achieved = wanted.map(([i]) => results.reduce((sum, one) => sum + one.speed[i], 0) / tasks.length);
-      const reached = wanted.every(([, speed], k) => Math.abs(Math.log(speed / achieved[k])) <= CLOSE_ENOUGH);
-      if (onProgress) await onProgress(again / MOST_TRIES);
-      if (reached || again === MOST_TRIES) return { factors, achieved, reached };
-      factors = factors.map((factor, k) => {
-        tried[k].push([Math.log(factor), Math.log(achieved[k])]);
-        const slope = clipped(slopeOf(tried[k]), [0.1, 1.5]);
-        const step = clipped(Math.log(wanted[k][1] / achieved[k]) / slope, [-0.7, 0.7]);
-        return clipped(factor * Math.exp(step), LIMITS);
-      });
+  /** The search of animarl_algos.whatif.thrust_search: bracket a wanted speed, then narrow the bracket. */
+  class ThrustSearch {
+    constructor(wanted, usual) {
+      Object.assign(this, { wanted: Math.log(wanted), low: null, high: null, step: 0, onLine: false });
+      this.factor = clipped(wanted / usual, LIMITS);
+    }
+    /** Record the speed that the present factor gave. */
+    record(speed) {
+      const here = [Math.log(this.factor), Math.log(Math.max(speed, SLOWEST))];
+      const [side, other, sign] = here[1] < this.wanted ? ["low", "high", 1] : ["high", "low", -1];
+      this.miss = this.wanted - here[1];
+      if (this[other] !== null && sign * (this[other][0] - here[0]) <= 0) this[other] = null;
+      this[side] = here;
+    }
+    /** Choose the next factor; return false where none is left that could help. */
+    advance() {
+      if (this.low !== null && this.high !== null) {
+        const [[left, slow], [right, fast]] = [this.low, this.high];
+        if (right - left < NARROWEST) return false;
+        const share = (this.onLine = !this.onLine) ? (this.wanted - slow) / (fast - slow) : 0.5;
+        return (this.factor = Math.exp(left + clipped(share, [0.1, 0.9]) * (right - left))) > 0;
+      }
+      const before = this.factor;
+      this.step = Math.min(Math.max(Math.abs(this.miss) / USUAL_SLOPE, 2 * this.step), LONGEST_STEP);
+      this.factor = clipped(before * Math.exp(Math.sign(this.miss) * this.step), LIMITS);
+      return this.factor !== before;
     }
   }
 
-  /** Slope of the line through points, or the usual one where they lie too close together. */
-  function slopeOf(points) {
-    const xs = points.map(([x]) => x), n = points.length;
-    if (Math.max(...xs) - Math.min(...xs) <= FAR_APART) return USUAL_SLOPE;
-    const [mx, my] = [0, 1].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / n);
-    const across = points.reduce((sum, [x, y]) => sum + (x - mx) * (y - my), 0);
-    return across / xs.reduce((sum, x) => sum + (x - mx) ** 2, 0);
+  /**
+   * Find factors on thrusts at which individuals reach wanted mean speeds, as animarl_algos.whatif.answer does.
+   * wanted: [[individual, speed, usual], ...]. Returns factors, last speeds, and whether all are within 2 %.
+   */
+  async function findThrusts(model, options, wanted, tasks, seed, onProgress = null) {
+    const searches = wanted.map(([, speed, usual]) => new ThrustSearch(speed, usual));
+    for (let again = 1; ; again++) {
+      const thrust = options.thrust.slice(), factors = searches.map((search) => search.factor);
+      wanted.forEach(([i], k) => (thrust[i] *= factors[k]));
+      const { results } = await rollOut(model, { ...options, thrust }, tasks, seed);
+      const achieved = wanted.map(([i]) => results.reduce((sum, one) => sum + one.speed[i], 0) / tasks.length);
+      searches.forEach((search, k) => search.record(achieved[k]));
+      if (onProgress) await onProgress(again / MOST_TRIES);
+      const missed = searches.filter((search) => Math.abs(search.miss) > CLOSE_ENOUGH), reached = missed.length === 0;
+      if (reached || again === MOST_TRIES || missed.some((search) => !search.advance())) return { factors, achieved, reached };
+    }
   }
 
   /** In a warm-up step the executed actions are the demonstrated ones: what policies remember. */
@@ -1040,6 +1053,6 @@ const AnimaRL = (() => {
     return best;
   }
 
-  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, findThrusts, pairedShift, actionTowards };
+  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, ThrustSearch, findThrusts, pairedShift, actionTowards };
 })();
 if (typeof module !== "undefined") module.exports = AnimaRL;

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import json
+import math
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -29,6 +30,7 @@ from animarl_algos.whatif.absent import (
     simulate_from,
 )
 from animarl_algos.whatif.live_page import SYNTHETIC, page_model, write_page
+from animarl_algos.whatif.thrust_search import ThrustSearch
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species.traits import Traits
@@ -166,6 +168,40 @@ def test_parity_of_the_page_with_python(
     assert off["duration"] == pytest.approx(
         ((python.lengths - 1) * python.dt).mean(), rel=0.35
     )  # of other random numbers
+
+
+SEARCH = """
+const AnimaRL = require(process.argv[1]);
+const [wanted, tries, low, jump] = JSON.parse(process.argv[2]);
+const response = (factor) => low * factor ** 0.3 + jump / (1 + Math.exp(-60 * (factor - 1.1)));
+const search = new AnimaRL.ThrustSearch(wanted, response(1)), factors = [];
+for (let again = 0; again < tries; again++) {
+  factors.push(search.factor);
+  search.record(response(search.factor));
+  if (Math.abs(search.miss) <= 0.02 || !search.advance()) break;
+}
+console.log(JSON.stringify(factors));
+"""
+
+
+@pytest.mark.parametrize("given", [(4.9, 24, 3.8, 8.1), (0.7, 24, 1.0, 0.0), (9.0, 24, 1.0, 0.0)])
+def test_the_page_searches_for_thrusts_as_the_command_does(
+    given: tuple[float, int, float, float],
+) -> None:
+    wanted, tries, low, jump = given
+
+    def response(factor: float) -> float:
+        return low * factor**0.3 + jump / (1 + math.exp(-60 * (factor - 1.1)))
+
+    search, factors = ThrustSearch(wanted, response(1.0)), []
+    for _ in range(tries):
+        factors.append(search.factor)
+        search.record(response(search.factor))
+        if search.is_met or not search.advance():
+            break
+    command = [node(), "-e", SEARCH, str(PAGE / "engine.js"), json.dumps(given)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert json.loads(done.stdout) == pytest.approx(factors, rel=1e-9)
 
 
 def test_the_matrix_product_of_the_page_is_that_of_its_source() -> None:
