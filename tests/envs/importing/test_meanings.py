@@ -14,14 +14,10 @@ def test_no_table_of_known_meaning_is_read_wrongly() -> None:
     assert counts["right"] > 30
 
 
-def some_meaning(feature: str) -> Meaning:
-    drawn = (draw_meaning(np.random.default_rng([2, n])) for n in range(500))
-    return next(one for one in drawn if feature in one.features)
-
-
 @pytest.mark.parametrize("place", ["positions", "rate", "animals", "recordings"])
 def test_a_wrong_reading_is_counted_as_wrong(tmp_path: Path, place: str) -> None:
-    true = some_meaning("both")
+    drawn = (draw_meaning(np.random.default_rng([2, n])) for n in range(500))
+    true = next(one for one in drawn if "both" in one.features)
     (name, walk), *_ = true.recordings[0].items()
     changed = {
         "positions": Meaning(true.text, ({**true.recordings[0], name: walk + 1.0},), true.rate, ()),
