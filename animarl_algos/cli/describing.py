@@ -44,7 +44,7 @@ FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     """Return what a set of demonstrations holds, line by line."""
-    told, unit = demos.provenance, unit_of(demos)
+    provenance, unit = demos.provenance, unit_of(demos)
     scale, speed_unit = unit.per_arena_unit, f"{unit.name}/s"
     seconds = (demos.lengths - 1) * demos.dt
     names = demos.individuals
@@ -58,9 +58,9 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
         "species": demos.species,
         "individuals": individuals,
         "kind": "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals",
-        "source": told["source"],
-        "made by": told.get("command"),
-        "licence": told["licence"],
+        "source": provenance["source"],
+        "made by": provenance.get("command"),
+        "licence": provenance["licence"],
         "episodes": f"{len(demos)} from {counted(len(np.unique(demos.recording)), 'recording')}",
         "splits": ", ".join(f"{(demos.split == split).sum()} {split}" for split in SPLITS),
         "time step": f"{demos.dt:.4g} s ({1 / demos.dt:.4g} Hz), {demos.lengths.sum()} frames",
@@ -69,7 +69,7 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
         "in total": f"{seconds.sum():.1f} s ({seconds.sum() / 60:.1f} min)",
         "arena": _arena(demos),
     }
-    keypoints = told.get("keypoints", [])
+    keypoints = provenance.get("keypoints", [])
     if len(keypoints) > 1:
         used = {str(one.get("keypoint")) for one in _cleaning(demos).values()}
         rows["keypoints"] = f"{', '.join(keypoints)}; used: {', '.join(used)}"
@@ -115,10 +115,10 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
         return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
     def listed(entries: Mapping[str, Any]) -> str:
-        told = {key: value for key, value in entries.items() if value not in (None, {}, "inf")}
+        given = {key: value for key, value in entries.items() if value not in (None, {}, "inf")}
         return "; ".join(
             f"{key.replace('_', ' ')} {said(value)}"
-            for key, value in told.items()
+            for key, value in given.items()
             if value is not False
         )
 
@@ -168,7 +168,7 @@ def hints(demos: Demonstrations) -> list[str]:
     """Return what somebody who looks at the result may have missed."""
     from animarl_algos.evaluation.prepared import WINDOW
 
-    told, counts = demos.provenance, {s: int((demos.split == s).sum()) for s in SPLITS}
+    provenance, counts = demos.provenance, {s: int((demos.split == s).sum()) for s in SPLITS}
     found = []
     if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
         found.append(
@@ -185,10 +185,10 @@ def hints(demos: Demonstrations) -> list[str]:
         )
     if question := _question_speed(demos):
         found.append(question)
-    if ignored := told.get("metadata_ignored"):
+    if ignored := provenance.get("metadata_ignored"):
         found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
-    found += told.get("notes", [])
-    if unused := told.get("columns_not_used"):
+    found += provenance.get("notes", [])
+    if unused := provenance.get("columns_not_used"):
         beside = sorted({name.lower() for name in unused} & set(GROUPS))
         found.append(
             f"columns that were not used: {', '.join(unused[:SHOWN_COLUMNS])}"

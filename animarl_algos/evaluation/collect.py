@@ -164,8 +164,8 @@ def _run_batch(
         raise InputError(f"cue is {cue!r}: choose 'actual', 'flipped', 0 or 1")
     flag, condition = None, world.condition
     if cue is not None:
-        told = {"actual": condition.copy(), "flipped": 1 - condition}.get(str(cue), cue)
-        flag = np.broadcast_to(np.asarray(told, dtype=np.int8), condition.shape)
+        flags = {"actual": condition.copy(), "flipped": 1 - condition}.get(str(cue), cue)
+        flag = np.broadcast_to(np.asarray(flags, dtype=np.int8), condition.shape)
     frames = [world.position.copy()]
     components = np.zeros_like(world.components)
     length = np.zeros(copies, dtype=np.int64)

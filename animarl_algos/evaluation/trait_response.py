@@ -73,9 +73,9 @@ def trait_gains(
     shown -= shown.mean(axis=0)
     told -= told.mean(axis=0)
     answer = np.diag(np.linalg.lstsq(told, shown, rcond=None)[0])
-    told_variance, wanted = told.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
-    unexplained = shown.var(axis=0) - answer**2 * told_variance
+    given_variance, wanted = told.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
+    unexplained = shown.var(axis=0) - answer**2 * given_variance
     gains, heard = np.ones(len(TRAITS)), answer > HEARD
-    needed = np.sqrt(np.maximum(wanted - unexplained, 0.0)[heard] / told_variance[heard])
+    needed = np.sqrt(np.maximum(wanted - unexplained, 0.0)[heard] / given_variance[heard])
     gains[heard] = np.clip(needed / answer[heard], 1.0, LOUDEST)
     return gains

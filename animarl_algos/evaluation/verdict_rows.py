@@ -154,10 +154,10 @@ def figures(metric_unit: str, *values: float) -> list[str]:
     """Return values with as many digits as tell them apart, shares in percent."""
     scaled = [100 * value if metric_unit == "share" else value for value in values]
     for digits in (2, 3, 4):
-        told = [_significant(value, digits) for value in scaled]
-        if len(set(told)) == len(told):
+        rounded = [_significant(value, digits) for value in scaled]
+        if len(set(rounded)) == len(rounded):
             break
-    return told
+    return rounded
 
 
 def _significant(value: float, digits: int) -> str:

@@ -426,8 +426,8 @@ class SequenceQLearning(BaseLearner):
             if priorities is not None:
                 buffer.update_priorities(batch.indices, priorities)
             if (logits := minibatch.treatment_logits) is not None:
-                told = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
-                self.treatments_told = self.treatments_told + told
+                counts = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
+                self.treatments_told = self.treatments_told + counts
             for name, loss in losses.items():
                 for individual, value in zip(self.layout.individuals, loss.tolist()):
                     self.logger.record_mean(f"train/{name}/{individual}", value)

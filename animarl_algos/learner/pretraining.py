@@ -101,8 +101,8 @@ class Pretraining:
         progress, policy = self.progress, self.policy
         if progress.epoch == 0:
             self._begin(data.train)
-        told: dict[str, Any] = {"done": progress.epoch, "disable": not progress_bar}
-        with shown_progress("offline", "epoch", self.epochs, **told) as bar:
+        bar_options: dict[str, Any] = {"done": progress.epoch, "disable": not progress_bar}
+        with shown_progress("offline", "epoch", self.epochs, **bar_options) as bar:
             while not progress.over(self.epochs, self.patience):
                 at_boundary()
                 row = self.train_epoch(data.train)

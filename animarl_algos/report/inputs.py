@@ -126,7 +126,7 @@ def provenance(
     if inputs.command:
         yield Text(f"To repeat this {page}:")
         yield Text(inputs.command, "command")
-    stated, *told = origin(demos)
+    stated, *more = origin(demos)
     times = [(f"wall time, {stage}", duration(s)) for stage, s in inputs.wall_time.items()]
     for title, entries in {
         "World": [*inputs.world.items(), *flattened(inputs.environment)],
@@ -137,7 +137,7 @@ def provenance(
             ("individuals", ", ".join(demos.individuals)),
             ("time step", f"{demos.dt:g} s"),
             *episodes,
-            *told,
+            *more,
         ],
         "Statistics": statistics,
         "Code and machine": [*inputs.machine.items(), *times],
@@ -178,8 +178,8 @@ def to_paste(inputs: PageInputs, methods: Sequence[str]) -> Iterator[Block]:
 
 def origin(demos: Demonstrations) -> list[tuple[str, str]]:
     """Return what the demonstrations say of themselves, their licence first."""
-    told = [pair for pair in flattened(demos.provenance) if pair[0] != "licence"]
-    return [("licence", licence(demos)), *told]
+    entries = [pair for pair in flattened(demos.provenance) if pair[0] != "licence"]
+    return [("licence", licence(demos)), *entries]
 
 
 def licence(demos: Demonstrations) -> str:

@@ -36,7 +36,7 @@ from animarl_algos.report.words import NOTHING, Words, number, pick, with_interv
 
 MARKS = {ALIKE: "\u2248", LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
 """Signs of the words, for readers who do not see colours."""
-SHARE = "share"  # the unit of what is told in percent
+SHARE = "share"  # the unit of what is windows in percent
 FARTHEST = 3  # rows on the terminal
 BESIDE = {
     "among": "recordings among themselves",
@@ -71,7 +71,7 @@ def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
 def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
     """Return what the terminal prints: the headline, the rows farthest from alike, the classifier.
 
-    Each of these rows is told with both values and the unit.
+    Each of these rows has both values and the unit.
     """
     lines = [f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"]
     rows = [row for row in verdict.rows() if row.measure not in (AUC, SEQUENCE)]
@@ -94,8 +94,8 @@ def _evidence(verdict: Verdict) -> list[str]:
             "pairs (50: chance)."
         )
     if verdict.detectable:
-        told = [f"{name} {100 * part:.0f} %" for name, (part, _) in verdict.detectable.items()]
-        found.append(f"Smallest changes that so many recordings show: {', '.join(told)}.")
+        changes = [f"{name} {100 * part:.0f} %" for name, (part, _) in verdict.detectable.items()]
+        found.append(f"Smallest changes that so many recordings show: {', '.join(changes)}.")
     if verdict.beside_law:
         found.append(verdict.beside_law)
     if math.isfinite(verdict.realism.estimate):
@@ -243,7 +243,7 @@ def _caption(verdict: Verdict) -> str:
         "recordings. Means over recordings, and their difference with an interval: all intervals "
         "together hold the truth in 95 % of experiments. Alike: the interval lies within the "
         "tolerance. Differs: it excludes zero, and the difference is larger than the tolerance. "
-        "Not known: neither. Of each kind the measure farthest from alike is told. For the "
+        "Not known: neither. Of each kind the measure farthest from alike is shown. For the "
         f"classifiers: the area under the curve (.5: chance), alike up to {LITTLE_AUC:.2f}."
     )
     if "law" in verdict.table:
@@ -256,17 +256,17 @@ def _caption(verdict: Verdict) -> str:
         said += " Blind: the same clone, where each animal is shown another one's neighbours."
     for key, name in ((AUC, "the first classifier"), (SEQUENCE, "that of order")):
         areas = verdict.areas.get(key, {})
-        told = [
+        parts = [
             f"{with_interval(areas[one])} for {what}"
             for one, what in BESIDE.items()
             if one in areas and math.isfinite(areas[one].estimate)
         ]
-        said += f" The area of {name} is {' and '.join(told)}." if told else ""
+        said += f" The area of {name} is {' and '.join(parts)}." if parts else ""
     falls = sorted(verdict.importance.items(), key=lambda item: -item[1])
     if falls:
-        told = [f"{number(fall, 2)} ({kind})" for kind, fall in falls]
+        shares = [f"{number(fall, 2)} ({kind})" for kind, fall in falls]
         said += f" Shuffling one kind of feature lowers the area on {WINDOW:g} s by "
-        said += f"{', '.join(told)}."
+        said += f"{', '.join(shares)}."
     if verdict.smoothing > 1:
         said += (
             " All positions, simulated ones too, went through a moving average of "

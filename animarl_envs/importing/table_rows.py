@@ -99,11 +99,11 @@ def tracks_of_rows(
     Individuals and keypoints are named by columns of the rows, or by positions of the header;
     ``stated`` says that an option names them.
     """
-    told: dict[str, Any] = {"file": table.path.name, "read_as": table.description}
-    rows, found = _read_rows(table, found, fps, progress, heading, stated, told)
-    fps, frames, start = _frames_of(table, found, rows, fps, heading, told)
+    provenance: dict[str, Any] = {"file": table.path.name, "read_as": table.description}
+    rows, found = _read_rows(table, found, fps, progress, heading, stated, provenance)
+    fps, frames, start = _frames_of(table, found, rows, fps, heading, provenance)
     if rows.names and _is_sparse(frames, rows.recording, len(rows.names)):
-        start = _split_tracks(rows, frames, start, told)
+        start = _split_tracks(rows, frames, start, provenance)
     tracks = []
     for at in range(len(rows.recordings)):
         own = np.flatnonzero(rows.recording == at)
@@ -115,7 +115,7 @@ def tracks_of_rows(
                 unit=found.unit or "px",
                 y_down=y_down,
                 start_time=float(start[at]),
-                provenance=told,
+                provenance=provenance,
                 **record,
             )
         )
@@ -129,11 +129,11 @@ def _read_rows(
     progress: tables.Progress,
     heading: str | None,
     stated: bool,
-    told: dict[str, Any],
+    provenance: dict[str, Any],
 ) -> tuple[_Rows, Columns]:
     """Return the rows, and the columns as their numbers show them: boxes, metres.
 
-    What is not used, and what an import says, goes to ``told``.
+    What is not used, and what an import says, goes to ``provenance``.
     """
     clock = found.time if found.frame is None or fps is None else None
     numbers = [*itertools.chain(*(one.columns for one in found.positions)), heading, found.frame]
@@ -143,7 +143,7 @@ def _read_rows(
     (texts if clock in table.words_in else numbers).append(clock)
     used = {*numbers, *texts, found.time}
     if unused := [name for name in table.names if name and name not in used]:
-        told["columns_not_used"] = unused
+        provenance["columns_not_used"] = unused
     number, word = table.columns(
         [*filter(None, numbers)], [*filter(None, texts)], progress, may_be_empty=slots
     )
@@ -165,7 +165,7 @@ def _read_rows(
     if is_idtracker(table):
         notes.append("the columns are those of idTracker: y is taken to grow downwards")
     if notes:
-        told["notes"] = notes
+        provenance["notes"] = notes
     return rows, found
 
 
@@ -175,7 +175,7 @@ def _frames_of(
     rows: _Rows,
     fps: float | None,
     heading: str | None,
-    told: dict[str, Any],
+    provenance: dict[str, Any],
 ) -> tuple[float | None, Whole, Floats]:
     """Return the rate [Hz], the frame of each row and the time of frame 0 of each recording.
 
@@ -196,7 +196,9 @@ def _frames_of(
     unit = found.time_unit or parsed_names([found.time], table.units)[0].unit
     when = seconds(path, found.time, rows.time, unit or None)
     unsaid = None if unit or is_text else found.time
-    told[RATE_FROM] = f"the column {found.time} ({'times of day' if is_text else unit or 's'})"
+    provenance[RATE_FROM] = (
+        f"the column {found.time} ({'times of day' if is_text else unit or 's'})"
+    )
     if found.frame is not None:
         fitted = fit_clock(path, when, rows.recording, table.place, frames, unsaid=unsaid)
         return fitted.rate, frames, start
@@ -209,18 +211,18 @@ def _frames_of(
         )
         low, high, share, when = even_rows(when, rows.track, fps)
         rows.interpolate(low, high, share)
-        told["read_as"] += f", irregular clock resampled to {fps:g} Hz"
-        told[RATE_FROM] += ", irregular and resampled"
+        provenance["read_as"] += f", irregular clock resampled to {fps:g} Hz"
+        provenance[RATE_FROM] += ", irregular and resampled"
     fitted = fit_clock(path, when, rows.recording, table.place, rate=fps, unsaid=unsaid)
     return fitted.rate, fitted.frames, fitted.first
 
 
-def _split_tracks(rows: _Rows, frames: Whole, start: Floats, told: dict[str, Any]) -> Floats:
+def _split_tracks(rows: _Rows, frames: Whole, start: Floats, provenance: dict[str, Any]) -> Floats:
     """Make each individual of each recording a recording; return the times of their frame 0."""
     together = np.unique(frames * len(rows.recordings) + rows.recording, return_counts=True)[1]
     count = len(rows.names)
     kept, recording = np.unique(rows.recording * count + rows.individual, return_inverse=True)
-    told |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
+    provenance |= {TRACKS: len(kept), TOGETHER_AT_MOST: int(together.max())}
     rows.recordings = [f"{rows.recordings[k // count]}/{rows.names[k % count]}" for k in kept]
     rows.recording, rows.individual = recording.astype(np.int64), np.zeros_like(rows.individual)
     rows.names = []

@@ -150,18 +150,20 @@ def read_trex(path: Path, fps: float | None = None, unit: str | None = None) -> 
     positions[index, 0, 0] = np.column_stack([x, y])
     if "missing" in arrays and arrays["missing"].shape == frame.shape:
         positions[index[arrays["missing"] > 0]] = np.nan
-    told: dict[str, Any] = {"file": path.name, "tracker": "TRex"}
+    provenance: dict[str, Any] = {"file": path.name, "tracker": "TRex"}
     rate = fps if fps is not None else _number(arrays.get("frame_rate"))
     if rate is None and path.suffix.lower() == ".csv" and "time" in arrays:
         group = np.zeros(count, dtype=np.int64)
         rate = fit_clock(path, arrays["time"], group, table.place, index).rate
-        told[RATE_FROM] = "the column time (s)"
+        provenance[RATE_FROM] = "the column time (s)"
     if fps is None and "frame_rate" in arrays:
-        told[RATE_FROM] = "the array frame_rate"
+        provenance[RATE_FROM] = "the array frame_rate"
     if {"midline_length", "cm_per_pixel"} <= arrays.keys() and unit in (None, "cm"):
         pixels = numbers(path, "midline_length", arrays["midline_length"].ravel(), count)
         if len(seen := pixels[np.isfinite(pixels)]):
-            told[BODY_LENGTH] = float(np.median(seen)) * (_number(arrays["cm_per_pixel"]) or 1.0)
+            provenance[BODY_LENGTH] = float(np.median(seen)) * (
+                _number(arrays["cm_per_pixel"]) or 1.0
+            )
     match = _TREX_NAME.match(path.stem)
     return [
         Tracks(
@@ -172,7 +174,7 @@ def read_trex(path: Path, fps: float | None = None, unit: str | None = None) -> 
             y_down=True,
             start=start,
             frame_rate=rate,
-            provenance=told,
+            provenance=provenance,
         )
     ]
 
@@ -193,10 +195,10 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     if suffix == ".csv":
         table = tables.plain_table(path)
         if table.names == IDTRACKER_TIDY:
-            told = {"file": path.name, "tracker": "idtracker.ai"}
+            provenance = {"file": path.name, "tracker": "idtracker.ai"}
             found = read_long_table(path, fps=fps, y_down=True)
             assert isinstance(found, list)
-            return [replace(one, provenance=told) for one in found]
+            return [replace(one, provenance=provenance) for one in found]
         count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
         names = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
         clock = [name for name in table.names[:1] if name in ("time", "seconds")]
