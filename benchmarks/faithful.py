@@ -50,7 +50,7 @@ from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_ro
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import ORDER
 from animarl_algos.evaluation.statistics import UNDEFINED
-from animarl_algos.evaluation.verdict_rows import DIFFERS, UNKNOWN
+from animarl_algos.evaluation.verdict_rows import DIFFERS, FINDINGS, UNKNOWN
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
@@ -408,18 +408,7 @@ def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[di
     for bar in one.bars:
         if (row := bar.row(found, seconds)) is not None:
             met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found, row)]
-            keys = (
-                "label",
-                "recorded",
-                "simulated",
-                "value",
-                "low",
-                "high",
-                "tolerance",
-                "judgement",
-                "colour",
-                "verdict",
-            )
+            keys = ("label", *FINDINGS)
             rows.append({k: row[k] for k in keys} | {"bar": bar.words(found), "met?": met})
     return rows
 
@@ -528,21 +517,8 @@ def write(table: pd.DataFrame, out: Path, split: str) -> None:
 
 def markdown(table: pd.DataFrame) -> str:
     """One table a group of sets, one line per bar."""
-    columns = (
-        "set",
-        "seed",
-        "page",
-        "label",
-        "recorded",
-        "simulated",
-        "value",
-        "low",
-        "high",
-        "tolerance",
-        "verdict",
-        "bar",
-        "met?",
-    )
+    findings = [name for name in FINDINGS if name not in ("judgement", "colour")]
+    columns = ("set", "seed", "page", "label", *findings, "bar", "met?")
 
     def text(value: Any) -> str:
         if isinstance(value, float):

@@ -35,7 +35,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,7 +63,7 @@ from animarl_algos.whatif.absent import Present
 from animarl_algos.whatif.answer import Answer, ask, quantities_of
 from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
-from animarl_algos.whatif.truth import TeamTruth, Truth, mean_by_start
+from animarl_algos.whatif.truth import SimulatedTruth, TeamTruth, Truth, mean_by_start
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.scenario import make_scenario
@@ -114,11 +114,10 @@ class Answered:
     usual: Rollouts
 
 
-class ProgramTruth:
+class ProgramTruth(SimulatedTruth):
     """The program that made the recordings of a run, in any world."""
 
     description = "The true shift is that of the program that made the recordings."
-    paired = True
 
     def __init__(self, run: Run, repetitions: int, planning: bool = False) -> None:
         self.test, self.planning = run.demos.select(split="test"), planning
@@ -128,15 +127,8 @@ class ProgramTruth:
     def check(self, scenario: ChangedWorld) -> None:
         """Accept every change."""
 
-    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
-        """Return what the program does from the test starts in both worlds."""
-        return self._unchanged, self._simulate(scenario, reading)
-
-    @cached_property
-    def _unchanged(self) -> Rollouts:
-        return self._simulate(ChangedWorld(()), "habit")
-
-    def _simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
+    def simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
+        """Return what the program does from the test starts in one world."""
         species = change_world(self.species, reading, **scenario.options(self.species, self.unit))
         test = scenario.move_starts(self.test, species)
         if scenario.removed:

@@ -64,6 +64,18 @@ ALIKE, LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
     "differs",
     "not known",
 )
+FINDINGS = (
+    "recorded",
+    "simulated",
+    "value",
+    "low",
+    "high",
+    "tolerance",
+    "judgement",
+    "colour",
+    "verdict",
+)
+"""Columns of a verdict's table that other tables show, beside what a row is of."""
 COLOURS = {ALIKE: "green", LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
 LITTLE_AUC = 0.60  # alike up to here: two normal curves 0.36 standard deviations apart
 POWER = 0.84  # standard errors beyond the margin, for a change to be found in 80 % of experiments

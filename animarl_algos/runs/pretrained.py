@@ -15,7 +15,7 @@ from typing import Any
 
 from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import UNKNOWN
+from animarl_algos.evaluation.verdict_rows import FINDINGS, UNKNOWN
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.report.inputs import flattened
 from animarl_algos.report.verdict_section import verdict_as_table, verdict_sentence
@@ -144,19 +144,7 @@ def export_run(
 def _metrics(verdict: Verdict) -> dict[str, Any]:
     """Return the findings of the verdict as plain numbers; None where something is not defined."""
     rows = json.loads(verdict.table.to_json(orient="records", double_precision=6))
-    keys = (
-        "measure",
-        "unit",
-        "recorded",
-        "simulated",
-        "value",
-        "low",
-        "high",
-        "tolerance",
-        "judgement",
-        "colour",
-        "verdict",
-    )
+    keys = ("measure", "unit", *FINDINGS)
     return {
         "headline": verdict.headline,
         "colour": verdict.colour,

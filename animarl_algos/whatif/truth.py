@@ -6,6 +6,7 @@ starts. Recordings of the other condition show what it does to animals, from sta
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from functools import cached_property
 from math import hypot
 from pathlib import Path
@@ -92,7 +93,25 @@ class RecordedConditions:
         return recorded.select(~changed), recorded.select(changed)
 
 
-class TeamTruth:
+class SimulatedTruth(ABC):
+    """What made the recordings acts again, from the same starts, in both worlds."""
+
+    paired = True
+
+    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
+        """Return true episodes in the unchanged and in the changed world."""
+        return self._unchanged, self.simulate(scenario, reading)
+
+    @cached_property
+    def _unchanged(self) -> Rollouts:
+        return self.simulate(ChangedWorld(()), "habit")
+
+    @abstractmethod
+    def simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
+        """Return true episodes in one world."""
+
+
+class TeamTruth(SimulatedTruth):
     """The trained teams that made the recordings of a run, one for each condition.
 
     Parameters
@@ -108,7 +127,6 @@ class TeamTruth:
         "The true shift is that of the trained teams that made the recordings, in the changed "
         "world and from the same starts; under another condition the team that was trained so."
     )
-    paired = True
 
     def __init__(self, run: Any, folder: Path | None, repetitions: int) -> None:
         teams = None if run.settings.focal else teams_of(run.demos, folder)
@@ -129,15 +147,8 @@ class TeamTruth:
                 "conditions: change these, or leave --truth out"
             )
 
-    def roll_out(self, scenario: ChangedWorld, reading: Reading) -> tuple[Rollouts, Rollouts]:
-        """Return what the teams do in both worlds."""
-        return self._unchanged, self._simulate(scenario, reading)
-
-    @cached_property
-    def _unchanged(self) -> Rollouts:
-        return self._simulate(ChangedWorld(()), "habit")
-
-    def _simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
+    def simulate(self, scenario: ChangedWorld, reading: Reading) -> Rollouts:
+        """Return what the teams do in one world."""
         options = scenario.options(self.species, self.unit)
         species = change_world(self.species, reading, **options)
         starts, name = scenario.move_starts(self.test, species), scenario.condition
