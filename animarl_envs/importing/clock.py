@@ -56,11 +56,13 @@ def fit_clock(
     frames: Whole | None = None,
     rate: float | None = None,
     unsaid: str | None = None,
+    unit: float = 1.0,
 ) -> Clock:
     """Return the frame rate and the frames of rows by their times [s], or refuse.
 
     Without ``frames`` the earliest time of each ``group`` is frame 0, and without ``rate`` the
-    usual step between times gives it. ``unsaid`` is the column of times of no stated unit.
+    usual step between times gives it. ``unsaid`` is the column of times of no stated unit, ``unit``
+    that in which they were written [s].
     """
     if not np.isfinite(time).all():
         row = int((~np.isfinite(time)).argmax())
@@ -68,11 +70,12 @@ def fit_clock(
     first = np.full(int(group.max()) + 1, np.inf)
     np.minimum.at(first, group, time)
     if frames is not None:
-        rate, residual = _rate_of_frames(path, frames, time, group, place)
+        digit = rounding(time, unit)
+        rate, residual = _rate_of_frames(path, frames, time, group, place, digit)
         _check_unit(path, unsaid, rate, True)
         return Clock(rate, frames, first, residual)
     since = time - first[group]
-    rates = _rates_of_steps(path, time, since, group)
+    rates = _rates_of_steps(path, since, group, rounding(time, unit))
     _check_unit(path, unsaid, rates[0], False)
     for tried in rates if rate is None else [rate]:
         numbers = np.rint(since * tried)
@@ -92,7 +95,7 @@ def rate_of_rows(path: Path, time: Floats, place: Place) -> float:
     return clock.rate
 
 
-def _rates_of_steps(path: Path, time: Floats, since: Floats, group: Whole) -> list[float]:
+def _rates_of_steps(path: Path, since: Floats, group: Whole, digit: float) -> list[float]:
     """Return rates [Hz] by the median step, made exact by all steps of few frames.
 
     The first is whole, or of a whole period, where that fits.
@@ -105,7 +108,7 @@ def _rates_of_steps(path: Path, time: Floats, since: Floats, group: Whole) -> li
     usual = float(np.median(step))
     frames = np.rint(step / usual)
     few = (frames >= 1) & (frames <= FEW_FRAMES)
-    few &= np.abs(step / usual - frames) < CLEARLY + 1.01 * rounding(time) / usual
+    few &= np.abs(step / usual - frames) < CLEARLY + 1.01 * digit / usual
     exact = float(frames[few].sum() / step[few].sum())
     whole = _whole(exact)
     fits = abs(whole - exact) < ROUNDING * exact
@@ -113,7 +116,7 @@ def _rates_of_steps(path: Path, time: Floats, since: Floats, group: Whole) -> li
 
 
 def _rate_of_frames(
-    path: Path, frames: Whole, time: Floats, group: Whole, place: Place
+    path: Path, frames: Whole, time: Floats, group: Whole, place: Place, digit: float
 ) -> tuple[float, float]:
     """Return the frame rate [Hz] of rows with a frame number and a time [s] each, and the residual.
 
@@ -131,7 +134,7 @@ def _rate_of_frames(
     rising = (steps > 0) & (passed > 0)
     if not rising.any():
         raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
-    usual, digit = float(np.median(passed[rising] / steps[rising])), rounding(time)
+    usual = float(np.median(passed[rising] / steps[rising]))
     off = np.maximum(np.abs(passed - usual * steps) - 1.01 * digit, 0.0)
     even = off <= UNEVEN * usual * steps
     use = even & (steps > 0)
@@ -205,14 +208,18 @@ def refuse_uneven_frames(
         )
 
 
-def rounding(time: Floats) -> float:
-    """Return the power of ten to which times [s] are rounded, a microsecond at least."""
-    exact = max(1e-7, 2 * float(np.spacing(np.abs(time).max())))
-    kept = (digits for digits in range(6) if np.abs(time - time.round(digits)).max() < exact)
-    return float(10.0 ** -next(kept, 6))
+def rounding(time: Floats, unit: float = 1.0) -> float:
+    """Return to what times [s] are rounded, a microsecond at least [s].
+
+    That is a power of ten of the ``unit`` [s] in which they were written.
+    """
+    written = time / unit
+    exact = max(1e-7, 2 * float(np.spacing(np.abs(written).max())))
+    kept = (digits for digits in range(6) if np.abs(written - written.round(digits)).max() < exact)
+    return max(1e-6, unit * 10.0 ** -next(kept, 6))
 
 
-def irregular_rate(path: Path, time: Floats, track: Whole) -> float | None:
+def irregular_rate(path: Path, time: Floats, track: Whole, unit: float = 1.0) -> float | None:
     """Return the usual rate [Hz] of a clock that ticks unevenly, or None where it ticks evenly."""
     before, after = _neighbours(track, time)
     step = time[after] - time[before]
@@ -222,9 +229,9 @@ def irregular_rate(path: Path, time: Floats, track: Whole) -> float | None:
     off = np.count_nonzero(np.abs(step / usual - np.rint(step / usual)) > UNEVEN)
     if off < max(MANY, IRREGULAR * len(step)):
         return None
-    if usual < FINE * rounding(time):
+    if usual < FINE * (digit := rounding(time, unit)):
         raise InputError(
-            f"{path}: its times are rounded to {rounding(time):g} s, too coarsely for frames about "
+            f"{path}: its times are rounded to {digit:g} s, too coarsely for frames about "
             f"{usual:.3g} s apart: write them with more digits, or add a column of frame numbers"
         )
     return float(f"{1.0 / usual:.3g}") if usual <= 1 else 1.0 / float(f"{usual:.3g}")

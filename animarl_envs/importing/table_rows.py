@@ -17,6 +17,7 @@ from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
 from animarl_envs.importing.clock import (
+    IN_SECONDS,
     LARGEST_FRAME,
     even_rows,
     fit_clock,
@@ -196,14 +197,17 @@ def _frames_of(
     unit = found.time_unit or parsed_names([found.time], table.units)[0].unit
     when = seconds(path, found.time, rows.time, unit or None)
     unsaid = None if unit or is_text else found.time
+    written = 1.0 if is_text else IN_SECONDS[unit or "s"]
     provenance[RATE_FROM] = (
         f"the column {found.time} ({'times of day' if is_text else unit or 's'})"
     )
     if found.frame is not None:
-        fitted = fit_clock(path, when, rows.recording, table.place, frames, unsaid=unsaid)
+        fitted = fit_clock(
+            path, when, rows.recording, table.place, frames, unsaid=unsaid, unit=written
+        )
         return fitted.rate, frames, start
     refuse_times_going_back(path, when, rows.track, table.place)
-    if fps is None and (fps := irregular_rate(path, when, rows.track)) is not None:
+    if fps is None and (fps := irregular_rate(path, when, rows.track, written)) is not None:
         require(
             heading is None,
             f"{path}: its clock is irregular, and headings are not resampled: give rows at even "
@@ -213,7 +217,9 @@ def _frames_of(
         rows.interpolate(low, high, share)
         provenance["read_as"] += f", irregular clock resampled to {fps:g} Hz"
         provenance[RATE_FROM] += ", irregular and resampled"
-    fitted = fit_clock(path, when, rows.recording, table.place, rate=fps, unsaid=unsaid)
+    fitted = fit_clock(
+        path, when, rows.recording, table.place, rate=fps, unsaid=unsaid, unit=written
+    )
     return fitted.rate, fitted.frames, fitted.first
 
 

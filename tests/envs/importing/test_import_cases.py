@@ -156,7 +156,7 @@ def test_small_files_are_read_as_what_they_are(command: str, tmp_path: Path) -> 
     assert code == 0, printed
     demos = read(tmp_path / "demos.npz")
     assert " ".join(demos.individuals) == expected.individuals
-    assert 1 / demos.dt == pytest.approx(expected.rate, rel=1e-6)  # minutes of six digits
+    assert 1 / demos.dt == pytest.approx(expected.rate, rel=1e-9)
     scales = demos.provenance["scales"]
     assert len(scales) == expected.recordings
     if expected.extent is not None:
