@@ -38,8 +38,8 @@ DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"
 class Clock:
     """The clock of a table's rows.
 
-    ``rate`` is in Hz, ``frames`` are the frame numbers of the rows, ``first`` the earliest time of
-    each group [s]. ``residual`` is how far times lie from their frames at most, in frames.
+    ``rate`` is in Hz, ``frames`` are the frame numbers of the rows, ``first`` the time of frame 0
+    of each group [s]. ``residual`` is how far times lie from their frames at most, in frames.
     """
 
     rate: float
@@ -67,15 +67,16 @@ def fit_clock(
     if not np.isfinite(time).all():
         row = int((~np.isfinite(time)).argmax())
         raise InputError(f"{path}: {place(row)} has no time: fill it in, or leave the row out")
-    first = np.full(int(group.max()) + 1, np.inf)
-    np.minimum.at(first, group, time)
+    first = np.zeros(int(group.max()) + 1)
+    digit = rounding(time, unit)
     if frames is not None:
-        digit = rounding(time, unit)
         rate, residual = _rate_of_frames(path, frames, time, group, place, digit)
         _check_unit(path, unsaid, rate, True)
         return Clock(rate, frames, first, residual)
+    first += np.inf
+    np.minimum.at(first, group, time)
     since = time - first[group]
-    rates = _rates_of_steps(path, since, group, rounding(time, unit))
+    rates = _rates_of_steps(path, since, group, digit)
     _check_unit(path, unsaid, rates[0], False)
     for tried in rates if rate is None else [rate]:
         numbers = np.rint(since * tried)

@@ -136,7 +136,7 @@ def _read_rows(
 
     What is not used, and what an import says, goes to ``provenance``.
     """
-    clock = found.time if found.frame is None or fps is None else None
+    clock = "" if found.frame and fps else found.time or ""
     numbers = [*itertools.chain(*(one.columns for one in found.positions)), heading, found.frame]
     numbers += [position.score or found.confidence for position in found.positions]
     slots = list(found.tracks.values())
@@ -160,11 +160,11 @@ def _read_rows(
     zeros = np.zeros(len(line), dtype=np.int64)
     sets = _recordings_of(table.path, found, word, zeros)
     bodies = _bodies_of(table.path, found, word, zeros, stated)
-    time = None if clock is None else word.get(clock) or number[clock]
+    time = word.get(clock, number.get(clock))
     rows = _Rows(number, line, sets.entries, sets.number, *bodies, time)
     notes += _notes_on(found, rows.points)
     if is_idtracker(table):
-        notes.append("the columns are those of idTracker: y is taken to grow downwards")
+        notes.append("the columns are idTracker's: y is taken to grow downwards")
     if notes:
         provenance["notes"] = notes
     return rows, found
@@ -182,7 +182,7 @@ def _frames_of(
 
     Rows of an irregular clock are resampled.
     """
-    path, start = table.path, np.zeros(len(rows.recordings))
+    path = table.path
     frames = np.zeros(len(rows.line), dtype=np.int64)
     if found.frame is not None:
         frames = frame_numbers(table, found.frame, rows.number[found.frame])
@@ -191,7 +191,7 @@ def _frames_of(
             own = rows.recording == at
             frames[own] = np.arange(np.count_nonzero(own))
     if rows.time is None:
-        return fps, frames, start
+        return fps, frames, np.zeros(len(rows.recordings))
     assert found.time is not None
     is_text = isinstance(rows.time, tables.Words)
     unit = found.time_unit or parsed_names([found.time], table.units)[0].unit
@@ -201,26 +201,21 @@ def _frames_of(
     provenance[RATE_FROM] = (
         f"the column {found.time} ({'times of day' if is_text else unit or 's'})"
     )
-    if found.frame is not None:
-        fitted = fit_clock(
-            path, when, rows.recording, table.place, frames, unsaid=unsaid, unit=written
-        )
-        return fitted.rate, frames, start
-    refuse_times_going_back(path, when, rows.track, table.place)
-    if fps is None and (fps := irregular_rate(path, when, rows.track, written)) is not None:
-        require(
-            heading is None,
-            f"{path}: its clock is irregular, and headings are not resampled: give rows at even "
-            "times",
-        )
-        low, high, share, when = even_rows(when, rows.track, fps)
-        rows.interpolate(low, high, share)
-        provenance["read_as"] += f", irregular clock resampled to {fps:g} Hz"
-        provenance[RATE_FROM] += ", irregular and resampled"
-    fitted = fit_clock(
-        path, when, rows.recording, table.place, rate=fps, unsaid=unsaid, unit=written
-    )
-    return fitted.rate, fitted.frames, fitted.first
+    if found.frame is None:
+        refuse_times_going_back(path, when, rows.track, table.place)
+        if fps is None and (fps := irregular_rate(path, when, rows.track, written)) is not None:
+            require(
+                heading is None,
+                f"{path}: its clock is irregular, and headings are not resampled: give rows at "
+                "even times",
+            )
+            low, high, share, when = even_rows(when, rows.track, fps)
+            rows.interpolate(low, high, share)
+            provenance["read_as"] += f", irregular clock resampled to {fps:g} Hz"
+            provenance[RATE_FROM] += ", irregular and resampled"
+    numbered = None if found.frame is None else frames
+    clock = fit_clock(path, when, rows.recording, table.place, numbered, fps, unsaid, written)
+    return clock.rate, clock.frames, clock.first
 
 
 def _split_tracks(rows: _Rows, frames: Whole, start: Floats, provenance: dict[str, Any]) -> Floats:
@@ -296,13 +291,9 @@ def _recordings_of(
     arenas = word.get(found.arena or "", tables.Words([""], zeros))
     if len(arenas.entries) == 1:
         return sets
-    pairs, number = np.unique(
-        sets.number * len(arenas.entries) + arenas.number, return_inverse=True
-    )
-    names = [
-        f"{sets.entries[pair // len(arenas.entries)]}/{arenas.entries[pair % len(arenas.entries)]}"
-        for pair in pairs.tolist()
-    ]
+    count = len(arenas.entries)
+    pairs, number = np.unique(sets.number * count + arenas.number, return_inverse=True)
+    names = [f"{sets.entries[pair // count]}/{arenas.entries[pair % count]}" for pair in pairs]
     return tables.Words(names, number.astype(np.int64))
 
 
@@ -315,13 +306,9 @@ def _bodies_of(
     """
     none = tables.Words([], zeros)
     bodies, points = (word.get(name or "", none) for name in (found.individual, found.keypoint))
-    split = None if stated or points.entries else split_names(bodies.entries)
-    if (
-        split is None
-        and not points.entries
-        and any(map(is_body_part, bodies.entries))
-        and not stated
-    ):
+    unclear = not stated and not points.entries
+    split = split_names(bodies.entries) if unclear else None
+    if unclear and split is None and any(map(is_body_part, bodies.entries)):
         column = shlex.quote(f"individual={found.individual}")
         part = shlex.quote(f"keypoint={found.individual}")
         raise InputError(
@@ -407,12 +394,10 @@ def _project(path: Path, number: dict[str, Floats], found: Columns) -> str:
 
 def _with_boxes(table: tables.Table, found: Columns, number: dict[str, Floats]) -> Columns:
     """Return the same with x1, y1, x2, y2 as a box, where they are no two animals."""
-    corners = corners_of(table.names)
-    if corners != tuple(itertools.chain(*(one.columns for one in found.positions))):
-        return found
-    if are_corners(*(number[name] for name in corners)):
-        return replace(found, positions=(Position(corners),))
-    return found
+    corners = corners_of(table.names) or ()
+    pairs = itertools.chain(*(one.columns for one in found.positions))
+    is_box = corners == tuple(pairs) and are_corners(*(number[name] for name in corners))
+    return replace(found, positions=(Position(corners),)) if is_box else found
 
 
 def are_corners(x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> bool:
@@ -444,18 +429,13 @@ def _notes_on(found: Columns, points: Sequence[str]) -> list[str]:
 
 def _centre_arenas(tracks: list[Tracks]) -> list[Tracks]:
     """Return the arenas of a table, each moved to its own middle if they are side by side."""
-    corners = np.array(
-        [[function(one.positions, axis=(0, 1, 2)) for function in (np.nanmin, np.nanmax)]
-         for one in tracks]
-    )  # fmt: skip
-    low, high = corners[:, None, 0], corners[None, :, 1]
-    apart = (low > high).any(axis=2)
+    places = [one.positions.reshape(-1, 2) for one in tracks]
+    low, high = (np.array([end(own, axis=0) for own in places]) for end in (np.nanmin, np.nanmax))
+    apart = (low[:, None] > high).any(axis=2)
     if not (apart | apart.T | np.eye(len(tracks), dtype=bool)).all():
         return tracks
-    return [
-        replace(one, positions=one.positions - middle)
-        for one, middle in zip(tracks, corners.mean(axis=1), strict=True)
-    ]
+    middles = (low + high) / 2
+    return [replace(one, positions=one.positions - m) for one, m in zip(tracks, middles)]
 
 
 def _in_natural_order(entries: list[str], numbers: Whole) -> tuple[list[str], Whole]:

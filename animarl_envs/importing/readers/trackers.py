@@ -237,8 +237,10 @@ def _is_idtracker_csv(path: Path) -> bool:
     names = table.names
     dated = names[:2] in (("time", "x1"), ("seconds", "x1"))
     if dated and not named and names[2:] == ("y1", "x2", "y2"):
+        if table.separator != ",":
+            return False
         number, _ = table.columns(names[1:])
-        dated = not are_corners(*(number[name] for name in names[1:]))
+        return not are_corners(*number.values())
     return dated or names == IDTRACKER_TIDY or (names[:2] == ("x1", "y1") and named)
 
 

@@ -61,6 +61,7 @@ def test_clock_refuses_times_that_do_not_fit_their_frames(times, words) -> None:
     [
         ("time", 0.04, 25.0), ("time", 40, "time_unit=ms (25 frames/s)"),
         ("time", 1, "frame=time"), ("time", 1 / 1500, "time_unit=min (25 frames/s)"),
+        ("time", 1 / 500, 500.0), ("time", 1 / 540, "time_unit=min (9 frames/s)"),
         ("seconds", 2, 0.5), ("time_s", 1, 1.0), ("time (min)", 1, 1 / 60), ("t [ms]", 4, 250.0),
     ],
 )  # fmt: skip
