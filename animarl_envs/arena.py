@@ -57,7 +57,7 @@ class Arena:
         return self.size if self.rebound else self.boundary
 
     def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
+        """Return whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
         if self.shape == "open":
             return np.ones(positions.shape[:-1], dtype=bool)
         if self.shape == "disc":

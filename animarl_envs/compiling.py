@@ -50,7 +50,7 @@ class Compilations(event.Listener):  # type: ignore[misc]
     Python's collector of cycles waits meanwhile: it would find nothing.
     """
 
-    said = False
+    reported = False
 
     def __init__(self) -> None:
         self._depth = 0
@@ -63,9 +63,9 @@ class Compilations(event.Listener):  # type: ignore[misc]
             gc.disable()
         self._depth += 1
         module = str(of.data["dispatcher"].py_func.__module__)  # None of what exec made
-        if self.said or not module.startswith("animarl"):
+        if self.reported or not module.startswith("animarl"):
             return
-        self.said = True
+        self.reported = True
         terminal = sys.stderr is not None and sys.stderr.isatty()
         try:
             if not terminal:
@@ -97,12 +97,12 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         return nb.njit(**usual | options)(function)
 
 
-def part(function: Callable[..., Any]) -> Any:
+def inline_kernel(function: Callable[..., Any]) -> Any:
     """Compile a part of a kernel, which Python never calls."""
     return _inlined(function, PartCompiler)
 
 
-def joint(function: Callable[..., Any]) -> Any:
+def inline_wrapper(function: Callable[..., Any]) -> Any:
     """Compile a part that does little but call others: those are optimised, and it is not."""
     return _inlined(function, JointCompiler)
 
@@ -237,13 +237,13 @@ def source_key(package: str) -> str:
 
 
 def _kernel_sources(roots: dict[str, Path]) -> list[Path]:
-    found: set[Path] = set()
+    sources: set[Path] = set()
     for root in roots.values():
         for path in root.rglob("*.py"):
             text = path.read_text(encoding="utf-8")
             if not _KERNELS.search(text):
                 continue
-            found.add(path)
+            sources.add(path)
             for module, names in _IMPORTS.findall(text):
                 top, *below = module.split(".")
                 if top not in roots:
@@ -252,14 +252,14 @@ def _kernel_sources(roots: dict[str, Path]) -> list[Path]:
                 held = [source / name for name in re.findall(r"\w+", names)]
                 if _CONSTANT.search(names):
                     held += [source, source / "__init__"]
-                found |= {p for p in (one.with_suffix(".py") for one in held) if p.is_file()}
-    return sorted(found)
+                sources |= {p for p in (one.with_suffix(".py") for one in held) if p.is_file()}
+    return sorted(sources)
 
 
-def by_reference(refer: Callable[[Any], Any], parts: Any) -> Any:
+def by_reference(make_reference: Callable[[Any], Any], parts: Any) -> Any:
     """Return ``refer(parts)``, one object that a kernel takes in place of a tuple of many arrays.
 
     Handing over the arrays one by one would take longer than the step of a single copy. Without
     compilation the tuple itself has the same attributes.
     """
-    return parts if _SETTINGS.DISABLE_JIT else refer(parts)
+    return parts if _SETTINGS.DISABLE_JIT else make_reference(parts)

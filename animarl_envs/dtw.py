@@ -41,10 +41,9 @@ WINDOW = 2
 
 @jit
 def _extend_row(row, begin, end, x, y, path, first):  # type: ignore[no-untyped-def]
-    """Replace row t - 1 by row t for the simulated position (x, y); its minimum and argmin.
+    """Replace row t - 1 by row t for the simulated position (x, y); return its minimum and argmin.
 
-    Only recorded frames from ``begin`` to before ``end``, which may rise by one from row to row;
-    what lies outside is infinitely far.
+    Only recorded frames from ``begin`` to before ``end`` count; both may rise by one a row.
     """
     lowest = math.inf
     aligned = begin
@@ -70,13 +69,13 @@ def _extend_row(row, begin, end, x, y, path, first):  # type: ignore[no-untyped-
 
 
 def dtw_distance(x: NDArray[np.floating], y: NDArray[np.floating]) -> float:
-    """Closed-end DTW distance of two paths ``(T, 2)`` and ``(m, 2)``, Euclidean, unnormalised."""
+    """Return the closed-end DTW distance of two paths, ``(T, 2)`` and ``(m, 2)``."""
     return dtw_alignment(x, y)[0]
 
 
 @jit
 def _aligned(x, y):  # type: ignore[no-untyped-def]
-    """Closed-end distance and the pairs on its warping path, diagonal where steps tie."""
+    """Return the closed-end distance and the pairs on its path, diagonal where steps tie."""
     total = np.empty(len(y))
     pairs = np.empty(len(y), dtype=np.int64)
     for t in range(len(x)):
@@ -99,7 +98,7 @@ def _aligned(x, y):  # type: ignore[no-untyped-def]
 
 
 def dtw_alignment(x: NDArray[np.floating], y: NDArray[np.floating]) -> tuple[float, int]:
-    """:func:`dtw_distance` and how many pairs of frames its warping path aligns.
+    """Return :func:`dtw_distance` and the number of frame pairs on its warping path.
 
     The distance grows with their number, so that a short path is close to anything; distance over
     pairs is the mean distance of aligned positions.
@@ -112,9 +111,19 @@ def dtw_alignment(x: NDArray[np.floating], y: NDArray[np.floating]) -> tuple[flo
 
 @jit
 def _extend_rows(  # type: ignore[no-untyped-def]
-    mask, first, position, demo, individuals, paths, start, step_count, window, rows, lowest,
+    mask,
+    first,
+    position,
+    demo,
+    individuals,
+    paths,
+    start,
+    step_count,
+    window,
+    rows,
+    lowest,
     aligned,
-):  # fmt: skip
+):
     """Extend the rows of all copies in ``mask``; ``position`` is (B, K, 2), ``rows`` (B, F, m).
 
     With a ``window`` only frames t - window to t + window count, and the minimum is infinite where
@@ -137,9 +146,14 @@ def _extend_rows(  # type: ignore[no-untyped-def]
                 lowest[b, f] = math.inf
             else:
                 lowest[b, f], aligned[b, f] = _extend_row(
-                    rows[b, f], begin, end, position[b, i, 0], position[b, i, 1],
-                    paths[i, opening : opening + m], first,
-                )  # fmt: skip
+                    rows[b, f],
+                    begin,
+                    end,
+                    position[b, i, 0],
+                    position[b, i, 1],
+                    paths[i, opening : opening + m],
+                    first,
+                )
 
 
 class DTWTracker:
@@ -198,11 +212,11 @@ class DTWTracker:
         self._all = np.ones(num_copies, dtype=bool)
 
     def started(self, world: Any, mask: NDArray[np.bool_]) -> None:
-        """Row 0 of the copies in ``mask``: the start is compared with the recording, unpaid."""
+        """Initialise row 0 of the copies in ``mask``; no penalty is charged for it."""
         self._extend(world, mask, first=True)
 
     def stepped(self, world: Any) -> None:
-        """Row t of all copies, and what it costs."""
+        """Extend the rows of all copies by row t, and compute the penalty."""
         before, band_before = self.row_minimum.copy(), self.band_minimum.copy()
         self._extend(world, self._all, first=False)
         self.final_minimum = self.row_minimum.copy()
@@ -215,10 +229,10 @@ class DTWTracker:
             self.penalty = self.final_minimum.copy()
 
     def _charge_closeness(self, world: Any, before: NDArray[np.float64]) -> None:
-        """Less than nothing while the recording lasts; then the pay for lasting is taken back.
+        """Pay for closeness while the recording lasts; afterwards take back the reward for lasting.
 
-        Or a target that stands apart would earn more by outliving its recording than by following
-        it.
+        Otherwise a target that stands apart would earn more by outliving its recording than by
+        following it.
         """
         over = np.isinf(self.band_minimum)
         increase = np.where(over, 0.0, self.band_minimum) - np.where(over, 0.0, before)
@@ -232,13 +246,19 @@ class DTWTracker:
             raise InputError(
                 "the DTW reward needs episodes that start from a demonstration: use start='demo'"
             )
-        told = (
-            mask, first, world.position, world.demo, self.individuals, self._paths, self._start,
+        inputs = (
+            mask,
+            first,
+            world.position,
+            world.demo,
+            self.individuals,
+            self._paths,
+            self._start,
             world.step_count,
-        )  # fmt: skip
-        _extend_rows(*told, -1, self.rows, self.row_minimum, self.aligned)
+        )
+        _extend_rows(*inputs, -1, self.rows, self.row_minimum, self.aligned)
         if self.kind == "closeness":
-            _extend_rows(*told, WINDOW, self.bands, self.band_minimum, self._band_aligned)
+            _extend_rows(*inputs, WINDOW, self.bands, self.band_minimum, self._band_aligned)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Return copies of all arrays that decide the future."""

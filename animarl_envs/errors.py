@@ -1,4 +1,4 @@
-"""The one exception that a user is meant to read."""
+"""Exceptions whose message is meant for the user."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _APPENDED_BY_GYMNASIUM = " was raised from the environment creator for "
 
 
 def printable(text: str) -> str:
-    """The text with everything that cannot be printed written out, line ends apart."""
+    """Return the text with unprintable characters, except line ends, escaped."""
     if text.isprintable():
         return text
     return "".join(
@@ -60,16 +60,15 @@ def printable(text: str) -> str:
 
 
 class InputError(ValueError):
-    """Input that cannot be used, said in one sentence: what, where, and what to do about it.
+    """Input that cannot be used; the message says in one sentence what, where and how to fix it.
 
-    The command line prints the sentence alone and exits with code 2; from Python it is a
-    :class:`ValueError`. Names from files may stand in it: what cannot be printed is written out.
+    The command line prints the message alone and exits with code 2; from Python it is a
+    :class:`ValueError`. Names from files may stand in it; unprintable characters are escaped.
     """
 
     def __init__(self, message: object) -> None:
-        # Gymnasium raises a TypeError of a constructor anew with all keyword arguments appended,
-        # arrays on many lines among them; the sentence is enough. Its process vectors raise an
-        # error anew of the error itself.
+        # Gymnasium raises a constructor's TypeError again with all keyword arguments appended, and
+        # its process vectors raise an error again from the error itself.
         sentence = str(message).partition(_APPENDED_BY_GYMNASIUM)[0]
         super().__init__(printable(sentence).replace("\n", " "))
 
@@ -99,7 +98,7 @@ class UnknownOptionError(InputError, TypeError):
 
     @classmethod
     def of(cls, option: str, place: str, known: Iterable[str]) -> UnknownOptionError:
-        """The sentence for an ``option`` that ``place`` does not know among those it does."""
+        """Return the error of an ``option`` that ``place`` does not take, with those it takes."""
         names = sorted(known)
         near = get_close_matches(option, names, n=1)
         meant = f", did you mean {near[0]!r}" if near else ""

@@ -50,7 +50,7 @@ PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # others allocate what a 
 
 
 def is_part(path: Path) -> bool:
-    """Whether a file is one that :func:`write_then_rename` is at, or was killed at."""
+    """Return whether a file is a temporary one of :func:`write_then_rename`."""
     return path.name.startswith(".") and PART in path.suffixes
 
 
@@ -149,11 +149,11 @@ def _remove_orphans(folder: Path, prefix: str, suffix: str) -> None:
 
 
 def unreadable_or_unwritable(error: OSError) -> str:
-    """What to say of a file where nobody nearer knew better."""
+    """Return the message of an operating system's error that nothing nearer has handled."""
     where = f"{error.filename}: " if error.filename else ""
     return (
-        f"{where}a file cannot be read or written ({error.strerror or error}): make room, or see "
-        "to its permissions"
+        f"{where}a file cannot be read or written ({error.strerror or error}): make room, or "
+        "check its permissions"
     )
 
 
@@ -221,7 +221,7 @@ def check_size(path: Path, size: int, what: str) -> None:
 
 
 def npz_members(path: Path) -> set[str]:
-    """Names inside a zip archive; empty if it is none or damaged."""
+    """Return names inside a zip archive; empty if it is none or damaged."""
     damage = (zipfile.BadZipFile, OSError, ValueError, NotImplementedError)
     with suppress(*damage), zipfile.ZipFile(path) as archive:
         return set(archive.namelist())
@@ -229,7 +229,7 @@ def npz_members(path: Path) -> set[str]:
 
 
 def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
-    """All arrays of an ``.npz``, by name; ``unpickle`` is as of :func:`load_npy`.
+    """Return all arrays of an ``.npz``, by name; ``unpickle`` is as of :func:`load_npy`.
 
     Raises InputError if it is none, damaged, holds a pickle, or asks for more memory than it may.
     """
@@ -268,8 +268,10 @@ def load_npy(raw: bytes, path: Path, member: str = "", unpickle: Unpickle | None
     stream, place = io.BytesIO(raw), f"{path}: {member}" if member else str(path)
     try:
         version = np.lib.format.read_magic(stream)
-        header = {(1, 0): np.lib.format.read_array_header_1_0,
-                  (2, 0): np.lib.format.read_array_header_2_0}[version]  # fmt: skip
+        header = {
+            (1, 0): np.lib.format.read_array_header_1_0,
+            (2, 0): np.lib.format.read_array_header_2_0,
+        }[version]
         shape, _, dtype = header(stream)
     except Exception as error:
         raise InputError(f"{place}: it is no npy array ({error}): copy it again") from None
@@ -298,7 +300,7 @@ def load_npy(raw: bytes, path: Path, member: str = "", unpickle: Unpickle | None
 
 
 def checked_text(path: Path, array: NDArray[Any]) -> NDArray[Any]:
-    """The array, unless it is of text with characters that do not exist."""
+    """Return the array; refuse text with characters that do not exist."""
     if array.dtype.kind == "U" and array.size and array.dtype.itemsize:
         codes = np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), np.uint32)
         exist = codes.max() <= sys.maxunicode
@@ -312,7 +314,7 @@ DEEPEST = 50  # tables and lists within each other
 
 
 def read_yaml(path: Path) -> Any:
-    """The data in a YAML file.
+    """Return the data in a YAML file.
 
     Raises InputError if it is no file, too long, not valid, names code, repeats itself too often,
     or gives a key twice.
@@ -328,7 +330,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse_yaml(text: str, place: str) -> Any:
-    """The data in a YAML text; ``place`` is for messages."""
+    """Return the data in a YAML text; ``place`` is for messages."""
     with require_extra("settings in YAML", "data"):
         import yaml
 
@@ -346,7 +348,7 @@ def parse_yaml(text: str, place: str) -> Any:
             return node
 
         def compose_mapping_node(self, anchor: Any) -> Any:
-            """Of a key that is given twice YAML would take the last, without a word."""
+            """Refuse a key that is given twice, of which YAML would silently take the last."""
             node = super().compose_mapping_node(anchor)
             lines: dict[tuple[str, str], int] = {}
             for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):

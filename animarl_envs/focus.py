@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import inline_kernel, jit
 
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
@@ -37,7 +37,7 @@ def share_of(seconds: float, dt: float) -> float:
     return min(1.0, dt / seconds)
 
 
-@part
+@inline_kernel
 def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
     """Return an exponential mean, ``steps`` after its first value, with one more value.
 
@@ -46,7 +46,7 @@ def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
     return mean + max(share, 1.0 / (1.0 + steps)) * (value - mean)
 
 
-@part
+@inline_kernel
 def direction_of(x, y):  # type: ignore[no-untyped-def]
     """Return the unit vector along ``(x, y)``; ``FALLBACK`` at zero length."""
     length = math.sqrt(x * x + y * y)
@@ -55,8 +55,8 @@ def direction_of(x, y):  # type: ignore[no-untyped-def]
     return FALLBACK[0], FALLBACK[1]
 
 
-class Foci(NamedTuple):
-    """What each individual's focus is, as kernels read it: see :func:`foci`."""
+class FocusTable(NamedTuple):
+    """What each individual's focus is, as kernels read it: see :func:`focus_table`."""
 
     others: NDArray[np.bool_]  # (K, K), whose nearest it is
     otherwise: NDArray[np.float64]  # (K, 2), the direction without any, or at distance zero
@@ -64,18 +64,18 @@ class Foci(NamedTuple):
     share: float  # of a step in a course
 
 
-def foci(roles: Sequence[str], dt: float = 1.0) -> Foci:
-    """Return the foci of individuals with ``roles``."""
+def focus_table(roles: Sequence[str], dt: float = 1.0) -> FocusTable:
+    """Return the focus table of individuals with ``roles``."""
     others, free = np.zeros((len(roles), len(roles)), dtype=bool), is_free(roles)
     if "target" in roles:
         others[:-1, -1] = others[-1, :-1] = True
     otherwise = np.tile(UPWIND if "searcher" in roles else FALLBACK, (len(roles), 1))
-    return Foci(others, otherwise, free, share_of(COURSE, dt))
+    return FocusTable(others, otherwise, free, share_of(COURSE, dt))
 
 
-@part
-def face(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-def]
-    """Return the unit vector towards the focus of individual ``i``, by the :class:`Foci`."""
+@inline_kernel
+def focus_direction(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-def]
+    """Return the unit vector towards the focus of individual ``i``, by the :class:`FocusTable`."""
     if own.free:
         return direction_of(course_x, course_y)
     nearest, x, y = np.inf, own.otherwise[i, 0], own.otherwise[i, 1]
@@ -90,7 +90,7 @@ def face(i, b, own, position, course_x, course_y):  # type: ignore[no-untyped-de
 
 
 @jit
-def _face_frames(own, position, course, steps, towards):  # type: ignore[no-untyped-def]
+def _focus_frames(own, position, course, steps, towards):  # type: ignore[no-untyped-def]
     """Write focus directions ``(K, 2, frames)``; ``course`` has velocities, and gets their mean."""
     for i in range(position.shape[0]):
         for t in range(position.shape[2]):
@@ -98,7 +98,7 @@ def _face_frames(own, position, course, steps, towards):  # type: ignore[no-unty
                 if steps[t] > 0:
                     before, now = course[i, x, t - 1], course[i, x, t]
                     course[i, x, t] = averaged(before, now, own.share, steps[t])
-            towards[i, 0, t], towards[i, 1, t] = face(
+            towards[i, 0, t], towards[i, 1, t] = focus_direction(
                 i, t, own, position, course[i, 0, t], course[i, 1, t]
             )
 
@@ -126,8 +126,8 @@ def focus_directions(
         for one in (frames, velocities)
     )
     towards = np.empty_like(place)
-    own, since = foci(roles, dt), np.asarray(steps, dtype=np.int64)
-    _face_frames(own, place, course, since, towards)
+    own, since = focus_table(roles, dt), np.asarray(steps, dtype=np.int64)
+    _focus_frames(own, place, course, since, towards)
     return np.ascontiguousarray(towards.transpose(2, 0, 1)).reshape(points.shape)
 
 
@@ -145,9 +145,9 @@ def lone_pursuer(roles: Sequence[str]) -> bool:
 def distances_to_target(
     positions: NDArray[np.float64], roles: Sequence[str]
 ) -> NDArray[np.float64]:
-    """``(frames, pursuers)`` to the target, or of a searcher to the source at the origin.
+    """Return distances to the target ``(frames, pursuers)``; of a searcher to the source.
 
-    Of a lone pursuer to each target: ``(frames, targets)``.
+    Of a lone pursuer they are those to each target, ``(frames, targets)``.
     """
     if "target" in roles:
         return np.asarray(np.linalg.norm(positions[:, :-1] - positions[:, -1:], axis=2))

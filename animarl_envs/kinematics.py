@@ -11,7 +11,7 @@ import numba as nb
 
 from animarl_envs import locomotion
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import inline_kernel, jit
 
 SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 TOGETHER = 16  # copies of which none is at a wall cost no division
@@ -89,7 +89,7 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
                     _hold_within(i, begin, end, size, position, velocity)
 
 
-@part
+@inline_kernel
 def _hold_within(i, begin, end, radius, position, velocity):  # type: ignore[no-untyped-def]
     """Hold individual ``i`` in a disc; without a branch, so that divisions are vectorised."""
     for b in range(begin, end):

@@ -60,7 +60,7 @@ Value = TypeVar("Value", float, NDArray[Any])
 def next_velocity(
     velocity: Value, acceleration: Value, damping: float, thrust: float, dt: float
 ) -> Value:
-    """``v' = (1 - d) v + u a dt`` (paper, eq. 1); the position follows with p' = p + v' dt.
+    """Return ``v' = (1 - d) v + u a dt`` (paper, eq. 1); the position follows: p' = p + v' dt.
 
     Works on scalars and arrays. ``acceleration`` is a multiple of the thrust.
     """
@@ -119,18 +119,18 @@ class Locomotion:
         return self.thrust * self.magnitudes[-1]
 
     def terminal_speed(self, dt: float) -> float:
-        """Speed reached under the largest thrust, ``u m dt / d`` [arena unit / s]."""
+        """Return the speed reached under the largest thrust, ``u m dt / d`` [arena unit / s]."""
         largest = self.thrust * self.magnitudes[0]
         return math.inf if self.damping == 0 else largest * dt / self.damping
 
     def top_speed(self, dt: float, steps: int, initial: float = 0.0) -> float:
-        """Bound of the speed within ``steps``, from a speed of at most ``initial``."""
+        """Return a bound of the speed within ``steps``, from a speed of at most ``initial``."""
         reached = max(initial, self.terminal_speed(dt))
         return min(reached, initial + steps * self.thrust * self.magnitudes[0] * dt)
 
 
 def _checked_magnitudes(given: Sequence[float]) -> tuple[float, ...]:
-    """Positive numbers from the largest to the smallest, each once."""
+    """Return positive numbers from the largest to the smallest; refuse others."""
     listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
     if not listed or not 1 <= len(given) <= MOST_THRUSTS or not all(is_number(m) for m in given):
         raise InputError(
@@ -155,7 +155,7 @@ def check_thrusts(thrusts: Any) -> None:
 
 
 def fixed_multiples(thrusts: int) -> tuple[float, ...]:
-    """Multiples of u that need no fit, the largest first: measured, or a geometric ladder."""
+    """Return multiples of u that need no fit, the largest first."""
     if thrusts in MULTIPLES:
         return MULTIPLES[thrusts]
     return tuple(float(m) for m in np.geomspace(2.3, 0.25, thrusts))
@@ -163,7 +163,7 @@ def fixed_multiples(thrusts: int) -> tuple[float, ...]:
 
 @lru_cache(maxsize=256)
 def action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
-    """Accelerations of all actions in the egocentric frame, ``(12 M + 1, 2)``; read-only."""
+    """Return accelerations of all actions in the egocentric frame, ``(12 M + 1, 2)``; read-only."""
     pushes = [magnitude * ACTION_VECTORS[:NUM_DIRECTIONS] for magnitude in magnitudes]
     vectors = np.concatenate([*pushes, ACTION_VECTORS[COAST:]])
     vectors.setflags(write=False)
@@ -173,7 +173,7 @@ def action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
 def velocities(
     positions: NDArray[np.floating], initial: NDArray[np.floating], dt: float
 ) -> NDArray[np.float64]:
-    """Velocity of the step that led to each position: ``v_t = (p_t - p_{t-1}) / dt``.
+    """Return the velocity of the step that led to each position: ``v_t = (p_t - p_{t-1}) / dt``.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def infer_actions(
     locomotion: Locomotion,
     dt: float,
 ) -> NDArray[np.int8]:
-    """Inverse dynamics: the action whose acceleration is nearest to the one that was observed.
+    """Return the action whose acceleration is nearest to the observed one (inverse dynamics).
 
     The observed acceleration is ``(v_{t+1} - (1 - d) v_t) / dt``; it is compared, in the egocentric
     frame, with the 12 M + 1 vectors ``u a``, zero included. Ties go to the lower action number.
@@ -235,7 +235,7 @@ def apply_actions(
     locomotion: Locomotion,
     dt: float,
 ) -> NDArray[np.float64]:
-    """Velocities ``(..., 2)`` one step after ``actions`` ``(...,)``.
+    """Return velocities ``(..., 2)`` one step after ``actions`` ``(...,)``.
 
     The other arrays are those of :func:`infer_actions`.
     """

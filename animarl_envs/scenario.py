@@ -140,6 +140,7 @@ class Scenario:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the individuals."""
         return self.species.individuals
 
 
@@ -241,7 +242,7 @@ def make_scenario(
 
 
 def _recorded_species(demos: Demonstrations | None, options: Mapping[str, Any]) -> Species:
-    """The species that demonstrations show, with as many thrust magnitudes as the options say."""
+    """Return the species made from demonstrations, with the options' thrust magnitudes."""
     from animarl_envs.fitting.custom_species import species_of
 
     if demos is None:

@@ -38,9 +38,11 @@ SECONDS = 60  # of processor time
 SPENT = 2**30  # [bytes] at most once in memory, after which a fresh process is started
 PATTERN_SECONDS = 2  # of processor time; some regular expressions take longer than the universe
 SETTINGS = {
-    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve gigabytes of addresses
-}  # fmt: skip
+}
 """For the process, whose memory is limited."""
 START = "import sys; sys.path[:] = {path}; from animarl_envs.wall import serve; serve({answer})"
 RECORD = "record"  # among the arrays of an answer: what came of the call, as JSON
@@ -134,10 +136,13 @@ class _Worker:
         number = self.answer.fileno()
         self.process = subprocess.Popen(
             [sys.executable, "-c", START.format(path=sys.path, answer=number)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            pass_fds=(number,), start_new_session=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            pass_fds=(number,),
+            start_new_session=True,
             env=os.environ | SETTINGS,
-        )  # fmt: skip
+        )
 
     def ask(self, request: Any, progress: Callable[[float], None] | None) -> int:
         """Send a call, pass on its progress, and return 0, or the exit code of the process."""
@@ -156,7 +161,7 @@ class _Worker:
         return self.process.wait() or -signal.SIGABRT
 
     def read_answer(self) -> dict[str, Any]:
-        """Return what came of the last call, with its arrays in their places."""
+        """Return the record of the last call, with its arrays in their places."""
         self.answer.seek(0)
         with np.load(self.answer, allow_pickle=False) as stored:
             arrays = dict(stored)
@@ -164,9 +169,9 @@ class _Worker:
         if self.spent:
             self.stop()
 
-        def with_array(found: dict[str, Any]) -> Any:
-            stands_for_one = found.keys() == {ARRAY} and str(found[ARRAY]) in arrays
-            return arrays[str(found[ARRAY])] if stands_for_one else found
+        def with_array(record: dict[str, Any]) -> Any:
+            stands_for_one = record.keys() == {ARRAY} and str(record[ARRAY]) in arrays
+            return arrays[str(record[ARRAY])] if stands_for_one else record
 
         return dict(json.loads(str(arrays.pop(RECORD)), object_hook=with_array))
 
@@ -196,7 +201,7 @@ _worker: _Worker | None = None
 
 
 def _begin_anew() -> None:
-    """In a process that was forked from the caller: the worker is that one's."""
+    """Forget the worker in a process that was forked: it belongs to the parent."""
     global _lock, _worker
     _lock, _worker = threading.Lock(), None
 
@@ -222,30 +227,30 @@ def _stop() -> None:
 def serve(answer: int) -> None:
     """Answer calls until the other end of the standard input is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller ends this process
-    told = os.dup(1)
+    channel = os.dup(1)
     os.dup2(2, 1)  # what libraries print
     while size := sys.stdin.buffer.read(8):
         # From the parent that started this process, never from a file: answers are JSON and arrays.
         request = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "little")))
-        arrays = _answer(request, told)
+        arrays = _answer(request, channel)
         spent = _memory_used(1) > SPENT
         with os.fdopen(answer, "r+b", closefd=False) as file:
             file.seek(0)
             np.savez(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
         del request, arrays
-        os.write(told, b"end spent\n" if spent else b"end\n")
+        os.write(channel, b"end spent\n" if spent else b"end\n")
 
 
-def _answer(request: Any, told: int) -> dict[str, NDArray[Any]]:
+def _answer(request: Any, channel: int) -> dict[str, NDArray[Any]]:
     """Call a function within its limits; return a record of what came of it, and its arrays."""
     folder, memory, seconds, function, arguments, progressing = request
     arrays: dict[str, NDArray[Any]] = {}
 
     def progress(share: float) -> None:
-        os.write(told, f"progress {share:.4f}\n".encode())
+        os.write(channel, f"progress {share:.4f}\n".encode())
 
     def put_aside(value: Any) -> Any:
-        """Arrays stand beside the record, which has their number; all else is plain."""
+        """Put an array beside the record, which has its number; make other values plain."""
         if isinstance(value, np.ndarray):
             arrays[str(len(arrays))] = value.astype(str) if value.dtype.hasobject else value
             return {ARRAY: len(arrays) - 1}
@@ -285,6 +290,8 @@ def _allowed(what: int, most: int) -> int:
 
 
 def _memory_used(which: int) -> int:
-    """Size (0) or what of it is in memory (1) [bytes]; 0 where the system does not say."""
-    told = Path("/proc/self/statm")
-    return int(told.read_text().split()[which]) * resource.getpagesize() if told.exists() else 0
+    """Return the size (0) or the part of it in memory (1) [bytes]; 0 where it is unknown."""
+    pages = Path("/proc/self/statm")
+    if not pages.exists():
+        return 0
+    return int(pages.read_text().split()[which]) * resource.getpagesize()

@@ -221,7 +221,7 @@ def unchanged_table(table: pd.DataFrame) -> page.Table:
 
 
 def _means(recorded: str) -> dict[str, Callable[[pd.Series], str]]:
-    """Columns of a quantity without any change."""
+    """Return the columns of a quantity without any change."""
 
     def format_mean(key: str) -> Callable[[pd.Series], str]:
         return lambda row: number(_factor(row) * row[key])
@@ -271,7 +271,7 @@ def _figures(found: WhatIf) -> page.Gallery:
 
 
 def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
-    """One panel per quantity, one row per scenario."""
+    """Yield one panel per quantity, one row per scenario."""
     for quantity, rows in table.groupby("quantity", sort=False):
         names, columns = rows["scenario"].tolist(), ["shift", "low", "high", "gap"]
         shifts = dict(zip(names, map(Interval, rows["shift"], rows["low"], rows["high"])))
@@ -316,7 +316,7 @@ def _doses(found: WhatIf) -> tuple[str, list[float]] | None:
 
 
 def _dose_images(table: pd.DataFrame, name: str, doses: list[float]) -> Iterator[Image]:
-    """One panel per quantity: its mean over the amount of the change."""
+    """Yield one panel per quantity: its mean over the amount of the change."""
     for quantity, rows in table.groupby("quantity", sort=False):
         rows = rows.assign(dose=doses).sort_values("dose")
         texts = {"title": str(quantity), "xlabel": name, "ylabel": rows["unit"].iloc[0]}

@@ -69,9 +69,13 @@ class Demonstrations(Episodes):
     MADE_BY = "make it again with 'animarl import', or name its --source"
     FEWEST_FRAMES = 2
     EACH = {
-        "lengths": np.int64, "initial_velocity": np.float64, "condition": np.int8,
-        "outcome": np.int8, "split": np.str_, "recording": np.str_,
-    }  # fmt: skip
+        "lengths": np.int64,
+        "initial_velocity": np.float64,
+        "condition": np.int8,
+        "outcome": np.int8,
+        "split": np.str_,
+        "recording": np.str_,
+    }
     META = ("species", "individuals", "roles", "dt", "arena", "provenance")
     STORED_AS = {"lengths": np.int32}
     OUTSIDE_MARGIN = 0.5  # the last frame may lie a step beyond the boundary [arena unit]
@@ -129,7 +133,7 @@ class Demonstrations(Episodes):
         )
 
     def episode(self, index: int) -> Episode:
-        """Episode ``index`` (negative counts from the end), as read-only views."""
+        """Return episode ``index`` (negative counts from the end), as read-only views."""
         index = range(self.num_episodes)[index]
         frames = slice(int(self.offsets[index]), int(self.offsets[index + 1]))
         positions = self.positions[frames]
@@ -150,7 +154,7 @@ class Demonstrations(Episodes):
         return (self.episode(i) for i in range(self.num_episodes))
 
     def intervals(self, frames: slice = slice(None)) -> NDArray[np.float64]:
-        """Time that led to each frame ``(frames,)`` [s]: dt, or less at a last frame kept so."""
+        """Return the time before each frame, ``(frames,)`` [s]: dt, or less at a last frame."""
         if INTERVAL in self.signals:
             return self.signals[INTERVAL][frames].astype(np.float64)
         return np.full(len(self.positions[frames]), self.dt)
@@ -160,7 +164,7 @@ class Demonstrations(Episodes):
         return np.arange(len(self.positions)) - np.repeat(self.offsets[:-1], self.lengths)
 
     def velocities(self) -> NDArray[np.float64]:
-        """Velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
+        """Return the velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
         out = velocities(self.positions, self.initial_velocity[0], self.dt)
         if INTERVAL in self.signals:
             out *= (self.dt / self.intervals())[:, None, None]
@@ -183,7 +187,7 @@ class Demonstrations(Episodes):
         return heading.astype(np.float64).reshape(len(heading), -1)
 
     def odour_hits(self) -> NDArray[np.bool_] | None:
-        """Hits of a searcher's left and right antenna since the last frame, ``(frames, 2)``.
+        """Return hits of a searcher's left and right antenna since the last frame, ``(frames, 2)``.
 
         ``None`` where they were not recorded.
         """

@@ -193,7 +193,7 @@ class Episodes(ABC):
         return len(self.lengths)
 
     def path(self, index: int) -> NDArray[np.float64]:
-        """Positions of one episode, ``(frames, individuals, 2)``."""
+        """Return the positions of one episode, ``(frames, individuals, 2)``."""
         start = int(self.offsets[index])
         return self.positions[start : start + int(self.lengths[index])]
 
@@ -211,7 +211,7 @@ class Episodes(ABC):
         return replace(self, **self._frames(frames), **each)
 
     def _frames(self, frames: NDArray[np.int64]) -> dict[str, Any]:
-        """Everything that has an entry per frame, at these frames."""
+        """Return everything that has an entry per frame, at these frames."""
         return {"positions": self.positions[frames]}
 
     @classmethod
@@ -333,7 +333,7 @@ def refusing_damage(
 
 Floats = NDArray[np.float64]
 
-FEWEST = 20  # distinct coordinates; fewer lie on a grid by chance
+MIN_GRID_COORDINATES = 20  # distinct coordinates; fewer lie on a grid by chance
 FINEST = 2.0**-24  # of their range: finer steps are what single precision rounds to
 FINEST_SINGLE = 2.0**-20  # where coordinates are themselves rounded to single precision
 SINGLE = 2.0**-23  # of the largest coordinate: two such roundings, of a coordinate and the lowest
@@ -366,7 +366,7 @@ SINGLE_PRECISION = Resolution((0.0, 0.0), (0.0, 0.0))
 
 
 def rounded(positions: Floats, resolution: Resolution | None) -> Floats:
-    """Positions ``(..., 2)`` as they would have been stored; unchanged without a resolution."""
+    """Return positions ``(..., 2)`` on the grid of a resolution; unchanged without one."""
     if resolution is None:
         return positions
     if resolution.single:
@@ -380,19 +380,19 @@ def find_resolution(positions: Floats) -> Resolution | None:
 
     Else single precision, if all are such numbers, or None.
     """
-    found = [_axis(positions[..., axis]) for axis in range(2)]
-    if found[0] is None or found[1] is None:
-        moved = len(np.unique(positions)) >= FEWEST
+    axes = [_axis(positions[..., axis]) for axis in range(2)]
+    if axes[0] is None or axes[1] is None:
+        moved = len(np.unique(positions)) >= MIN_GRID_COORDINATES
         single = moved and np.array_equal(positions, positions.astype(np.float32))
         return SINGLE_PRECISION if single else None
-    (x_step, x_origin), (y_step, y_origin) = found[0], found[1]
+    (x_step, x_origin), (y_step, y_origin) = axes[0], axes[1]
     return Resolution((x_step, y_step), (x_origin, y_origin))
 
 
 def _axis(coordinates: Floats) -> tuple[float, float] | None:
-    """Step and origin on one axis, of coordinates kept in double precision, or else in single."""
+    """Return step and origin on one axis, of coordinates in double or else single precision."""
     distinct = np.unique(coordinates)
-    if len(distinct) < FEWEST:
+    if len(distinct) < MIN_GRID_COORDINATES:
         return None
     lowest, largest = float(distinct[0]), float(np.abs(distinct).max())
     for finest, rounding in ((FINEST, 0.0), (FINEST_SINGLE, SINGLE * largest)):

@@ -19,7 +19,7 @@ COUNTS = {"num_pursuers": "pursuer", "num_targets": "target"}
 
 
 def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstrations:
-    """All episodes one after the other, each with its condition, split and recording.
+    """Return all episodes one after the other, each with its condition, split and recording.
 
     The provenance is that of the first, with those of all under ``joined`` and with the scales and
     the cleaning of all recordings. Recordings of several sets that have one name get that of their
@@ -43,8 +43,9 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
         for one in part.recording.tolist()
     ]
     provenance: dict[str, Any] = {
-        **first.provenance, "joined": [dict(part.provenance) for part in parts]
-    }  # fmt: skip
+        **first.provenance,
+        "joined": [dict(part.provenance) for part in parts],
+    }
     for key in BY_RECORDING:
         known = [
             (new.get(recording, recording), entry)

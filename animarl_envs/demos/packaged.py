@@ -28,7 +28,7 @@ def load_packaged(name: str) -> Demonstrations:
 
 @cache
 def packaged_names() -> tuple[str, ...]:
-    """Species that come with demonstrations."""
+    """Return the species that come with demonstrations."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.npz")))
 
 

@@ -119,8 +119,8 @@ def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArra
     elif by == "group":
         assert settings.pattern is not None
         place = f"splitting pattern {settings.pattern!r}"
-        found = search_names(settings.pattern, recording.tolist(), place)
-        first = [groups_found and groups_found.get("1") for groups_found in found]
+        matches = search_names(settings.pattern, recording.tolist(), place)
+        first = [groups and groups.get("1") for groups in matches]
         if None in first:
             raise InputError(
                 f"{place} does not fit every recording or has no (group): write one that does"

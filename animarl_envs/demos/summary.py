@@ -51,17 +51,20 @@ def ending_in_words(outcome: int, individuals: Sequence[str], roles: Sequence[st
 
 
 def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
-    """One row per episode: duration [s], path length, speeds and filled gaps, distances."""
+    """Return one row per episode: duration [s], path length, speeds and filled gaps, distances."""
     rows = []
     for one in demos:
         step = np.linalg.norm(np.diff(one.positions, axis=0), axis=2)
         speed = step / one.dt
         distance = distances_to_target(one.positions, demos.roles).min(axis=1)
         row: dict[str, Any] = {
-            "episode": one.index, "recording": one.recording, "split": one.split,
-            "condition": one.condition, "outcome": outcome_name(one.outcome, demos),
+            "episode": one.index,
+            "recording": one.recording,
+            "split": one.split,
+            "condition": one.condition,
+            "outcome": outcome_name(one.outcome, demos),
             "duration": one.duration,
-        }  # fmt: skip
+        }
         for i, name in enumerate(demos.individuals):
             row[f"path_length_{name}"] = float(step[:, i].sum())
             row[f"median_speed_{name}"] = float(np.median(speed[:, i]))
@@ -77,7 +80,7 @@ def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
 
 
 def persistence(demos: Demonstrations) -> NDArray[np.float64]:
-    """How much of a step is made in the next one too, one number for each of ``demos.kinds``.
+    """Return the share of a step that the next one repeats, one number for each of ``demos.kinds``.
 
     The slope of the next step on the present one: 1 of steady motion, less of tracks that jump to
     and fro, -0.5 of somebody at rest whose position is known up to white noise. NaN of somebody who
@@ -109,13 +112,13 @@ def tracking_noise(paths: Iterable[NDArray[np.float64]]) -> float:
 def tracking_counts(demos: Demonstrations) -> dict[str, int]:
     """Return in how many frames something was flagged, by what, where the tracks were cleaned."""
     cleaning: Mapping[str, Any] = demos.provenance.get("cleaning") or {}
-    found = {}
+    flagged = {}
     for key in TRACKING:
         entry = key.replace(" ", "_")
         counts = [one[entry] for one in cleaning.values() if entry in one]
         if counts:
-            found[key] = int(sum(counts))
-    return found
+            flagged[key] = int(sum(counts))
+    return flagged
 
 
 PHYSICAL_UNITS = ("um", "mm", "cm", "m", "inch")

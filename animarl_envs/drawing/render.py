@@ -188,7 +188,7 @@ class Renderer:
     # -- shapes -----------------------------------------------------------------------------------
 
     def _at(self, points: Points) -> NDArray[np.float64]:
-        """Pixel coordinates of points ``(..., 2)`` of the arena frame; whole ones are centres."""
+        """Return pixel coordinates of points ``(..., 2)`` of the arena frame."""
         flipped = (points - np.array(self._view[:2])) * (self._scale, -self._scale)
         return np.asarray(flipped + (self.size - 1) / 2)
 
@@ -213,7 +213,7 @@ class Renderer:
     # -- the arena --------------------------------------------------------------------------------
 
     def _draw_ground(self, scene: Scene) -> None:
-        """Return the empty arena and its scale bar, drawn again only if the arena changed."""
+        """Draw the empty arena and its scale bar; anew only if the arena or the view changed."""
         arena = scene.species.arena
         here = (arena, self._view, scene.unit, scene.searching)
         if self._ground is None or self._ground[0] != here:
@@ -253,9 +253,12 @@ class Renderer:
             middle = np.array([self.size - left - side / 2, low])
             self._polygon(_placed(ARROW, middle, 0.0, 0.9 * side), palette.MUTED_TEXT)
             self._write(
-                "wind", middle[0] - side / 2 - 4, low - 0.012 * self.size, palette.MUTED_TEXT,
+                "wind",
+                middle[0] - side / 2 - 4,
+                low - 0.012 * self.size,
+                palette.MUTED_TEXT,
                 from_right=True,
-            )  # fmt: skip
+            )
 
     def _draw_plume(self, plume: PlumeField) -> None:
         pygame = self._pygame
@@ -299,7 +302,7 @@ class Renderer:
             self._path(self._at(trail), faded, self._width(TRAIL_WIDTH))
 
     def _draw_bodies(self, scene: Scene) -> None:
-        """Antennae and everybody, the last individual on top."""
+        """Draw the antennae and all individuals, the last one on top."""
         species, touched = scene.species, scene.touched
         reach = species.contact_radius * self._scale
         shortest, longest = (share * self.size for share in BODY_LENGTH)
@@ -323,7 +326,7 @@ class Renderer:
                 self._polygon(_placed(part.outline, centre, heading, length), colour)
 
     def _draw_antennae(self, scene: Scene, reach: float) -> None:
-        """Both antennae in their directions, lit by what they smell; ``reach`` in px."""
+        """Draw both antennae, lit by the odour at their tips; ``reach`` is in pixels."""
         assert scene.antennae is not None
         root, own = self._at(scene.positions[-1]), colour_of("searcher", 0)
         for tip, smell in zip(scene.antennae, scene.odour, strict=True):
@@ -337,7 +340,7 @@ class Renderer:
     # -- text -------------------------------------------------------------------------------------
 
     def _write_strip(self, scene: Scene) -> None:
-        """Two lines below the field: what and when; who has earned how much."""
+        """Write two lines below the field: title and time; the return of each individual."""
         species, pad = scene.species, 0.03 * self.size
         right, top = self.size - pad, 1.016 * self.size
         x = self._write(scene.title or species.title, pad, top, palette.TEXT)
@@ -372,7 +375,7 @@ class Renderer:
 
 @lru_cache(maxsize=64)
 def _fading_colours(colour: RGB) -> list[RGB]:
-    """Of a trail's pieces on the floor, the youngest first, until nothing fades any more."""
+    """Return the colours of a trail's pieces, the youngest first, until nothing fades further."""
     first, last = TRAIL_OPACITY
     shares = last + (first - last) * np.exp(-np.arange(round(5 * TRAIL_FADE)) / TRAIL_FADE)
     return [palette.mix(palette.ARENA, colour, share) for share in shares.tolist()]
@@ -401,7 +404,7 @@ def _dashed(points: Points, spacing: float) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=8)
 def _fading(shape: tuple[int, int]) -> NDArray[np.float64]:
-    """1 within the field, falling to 0 before its ends and its sides, where it is cut."""
+    """Return opacity: 1 within the field, falling to 0 towards its ends and sides."""
     columns, rows = ((np.arange(n) + 0.5) / n for n in shape)
     before, along, across = (
         np.clip((left - margin) / fade, 0.0, 1.0)
@@ -422,9 +425,9 @@ def round_length(longest: float, unit: str) -> tuple[float, str]:
     power = 10.0 ** math.floor(math.log10(longest))
     length = max(m * power for m in (1, 2, 5) if m * power <= longest * (1 + 1e-9))
     if unit == "m":
-        for shown, factor in (("m", 1.0), ("cm", 100.0), ("mm", 1000.0)):
+        for name, factor in (("m", 1.0), ("cm", 100.0), ("mm", 1000.0)):
             if length * factor >= 1 - 1e-9:
-                return length, f"{length * factor:g} {shown}"
+                return length, f"{length * factor:g} {name}"
     return length, f"{length:g} {unit}"
 
 
@@ -500,7 +503,7 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         from PIL import Image
 
     def reduced(pictures: Iterable[NDArray[np.uint8]]) -> Iterator[Any]:
-        """In few colours each, without dithering: areas stay even, and the file small."""
+        """Yield pictures in few colours without dithering, which keeps the file small."""
         for picture in pictures:
             yield Image.fromarray(picture).quantize(
                 GIF_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
@@ -514,9 +517,13 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         if suffix == ".gif":
             (opening,) = reduced([first])
             opening.save(
-                part, "GIF", save_all=True, append_images=reduced(taken), loop=0,
+                part,
+                "GIF",
+                save_all=True,
+                append_images=reduced(taken),
+                loop=0,
                 duration=1000.0 / fps,
-            )  # fmt: skip
+            )
             return path
         options: Any = {"fps": fps, "codec": "libx264", "quality": 8, "macro_block_size": 2}
         writer: Any = imageio.get_writer(part, **options)

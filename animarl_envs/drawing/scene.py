@@ -91,16 +91,16 @@ class SceneRecorder:
             raise InputError("there is nothing to see before the first episode: call reset first")
         world, b = self.world, self.copy
         species, number = world.scenario.species, int(world.condition[b])
-        shown: dict[str, Any] = {"headings": self._headings.copy()} | world.scene_details(b)
+        details: dict[str, Any] = {"headings": self._headings.copy()} | world.scene_details(b)
         if hasattr(world, "plume"):
-            shown["plume"] = self._plume()
+            details["plume"] = self._plume()
         if species.conditions:
-            shown["condition"] = f"condition {number}: {species.conditions[number]}"
+            details["condition"] = f"condition {number}: {species.conditions[number]}"
         if world.truncated[b]:
-            shown["note"] = "time limit"
+            details["note"] = "time limit"
         elif world.terminated[b]:
             outcome = int(world.outcome[b])
-            shown["note"] = ending_in_words(outcome, species.individuals, species.roles)
+            details["note"] = ending_in_words(outcome, species.individuals, species.roles)
         return Scene(
             species=species,
             positions=world.position[b].copy(),
@@ -109,7 +109,7 @@ class SceneRecorder:
             title=self.title,
             step=int(world.step_count[b]),
             unit=self.unit,
-            **shown,
+            **details,
         )
 
     def _plume(self) -> PlumeField:

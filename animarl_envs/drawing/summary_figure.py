@@ -56,7 +56,7 @@ def _colours(demos: Demonstrations) -> list[str]:
 
 
 def _draw_episodes(figure: Any, demos: Demonstrations, unit: summary.Unit) -> None:
-    shown = np.unique(np.linspace(0, demos.num_episodes - 1, ROWS * COLUMNS).round().astype(int))
+    drawn = np.unique(np.linspace(0, demos.num_episodes - 1, ROWS * COLUMNS).round().astype(int))
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True).ravel()
     size, angle = unit.per_arena_unit * demos.arena.size, np.linspace(0, 2 * math.pi, 100)
     edge: Any = {
@@ -64,7 +64,7 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: summary.Unit) -> No
         "square": size * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]]),
         "open": ([], []),
     }[demos.arena.shape]
-    for axes, index in zip(panels, shown.tolist(), strict=False):
+    for axes, index in zip(panels, drawn.tolist(), strict=False):
         one = demos.episode(index)
         positions = unit.per_arena_unit * one.positions
         axes.plot(*edge, color="0.8", lw=0.8)
@@ -82,7 +82,7 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: summary.Unit) -> No
         ending = summary.outcome_name(one.outcome, demos)
         axes.set_title(f"episode {index}, {one.duration:.1f} s\n{ending}", fontsize="x-small")
         axes.tick_params(labelsize="x-small")
-    for axes in panels[len(shown) :]:
+    for axes in panels[len(drawn) :]:
         axes.set_axis_off()
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6))

@@ -32,7 +32,7 @@ from animarl_envs.species import (
     get_species,
 )
 from animarl_envs.species.options import with_options
-from animarl_envs.species.traits import FEWEST, Traits, fit_traits
+from animarl_envs.species.traits import MIN_TRAIT_EPISODES, Traits, fit_traits
 from animarl_envs.species.turning import Turning
 
 SMALLEST_CONTACT = 0.001  # share of the arena's size
@@ -178,7 +178,7 @@ def takes_sides(demos: Demonstrations) -> bool:
     Then no mirror image of a recording is possible. The mean turn of an individual, or the mean
     side of the focus on which it passes, is ``SIDED`` standard
     errors over training recordings away from none. Artificial agents often are: they learned one
-    of two equally good ways. Fewer than ``FEWEST`` recordings cannot say so.
+    of two equally good ways. Fewer than ``MIN_TRAIT_EPISODES`` recordings cannot say so.
     """
     training = training_episodes(demos)
     step = np.diff(training.positions, axis=0)
@@ -193,7 +193,7 @@ def takes_sides(demos: Demonstrations) -> bool:
     inside = np.ones(len(of_step), dtype=bool)
     inside[(training.offsets[1:-1, None] - [1, 2]).ravel()] = False  # into the next episode
     size = np.bincount(of_step[inside], minlength=len(names))
-    if (size > 0).sum() < FEWEST:
+    if (size > 0).sum() < MIN_TRAIT_EPISODES:
         return False
     for side in (each for pair in sides for each in pair.T):
         total = np.bincount(of_step[inside], side[inside], minlength=len(names))
@@ -233,8 +233,8 @@ def contact_radius_of(demos: Demonstrations) -> float:
     if not len(touched):
         return least
     distance = distances_to_target(demos.positions, demos.roles)
-    found = distance[demos.offsets[1:][touched] - 1, demos.outcome[touched] - 1]
-    return max(float(np.quantile(found, CONTACT_QUANTILE)), least)
+    distances = distance[demos.offsets[1:][touched] - 1, demos.outcome[touched] - 1]
+    return max(float(np.quantile(distances, CONTACT_QUANTILE)), least)
 
 
 def _plain_species(demos: Demonstrations) -> Species:

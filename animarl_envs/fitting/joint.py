@@ -126,8 +126,8 @@ def best_of(
     Thrusts are ``(M,)`` [arena unit / s^2]; ``tolerance`` is the relative change of d and of the
     thrusts at which the search ends.
     """
-    found = [_alternate(data, *start, least_speed, tolerance, far) for start in starts]
-    damping, thrusts, loss = min(found, key=lambda one: one[2])
+    fitted = [_alternate(data, *start, least_speed, tolerance, far) for start in starts]
+    damping, thrusts, loss = min(fitted, key=lambda one: one[2])
     return (damping, thrusts) if loss < math.inf else starts[0]
 
 
@@ -175,15 +175,15 @@ def _starting_points(data: Transitions) -> list[tuple[float, float]]:
         next_velocity=np.ascontiguousarray(data.next_velocity[::every]),
         focus=np.ascontiguousarray(data.focus[::every]),
     )
-    found = []
+    cells = []
     for damping in GRID_DAMPING.tolist():
         rest = locomotion.residual(few.next_velocity, few.velocity, damping)
         length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
         for thrust in np.unique(np.quantile(length[length > 0], GRID_QUANTILES)):
             error = nearest_actions(few, damping, np.array([thrust]))[0]
-            found.append((_loss(error), damping, float(thrust)))
-    found.sort()
-    return [(damping, thrust) for _, damping, thrust in found[:STARTS]]
+            cells.append((_loss(error), damping, float(thrust)))
+    cells.sort()
+    return [(damping, thrust) for _, damping, thrust in cells[:STARTS]]
 
 
 def _alternate(
@@ -224,9 +224,9 @@ def nearest_actions(
     data: Transitions, damping: float, thrusts: Floats
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Return for every step the nearest action's squared miss, vector and thrust number."""
-    found = np.empty(len(data)), np.empty((len(data), 2)), np.empty(len(data), dtype=np.int64)
-    assign(data.velocity, data.next_velocity, data.focus, damping, thrusts * data.dt, *found)
-    return found
+    fitted = np.empty(len(data)), np.empty((len(data), 2)), np.empty(len(data), dtype=np.int64)
+    assign(data.velocity, data.next_velocity, data.focus, damping, thrusts * data.dt, *fitted)
+    return fitted
 
 
 def _solve(
@@ -253,10 +253,10 @@ def _solve(
     if remainder > 1e-12 * vv:
         kept = (vn - float(np.sum(va * an / aa))) / remainder
     kept = min(max(kept, 0.0), 1.0)
-    found = thrusts.copy()
-    found[used] = (an - kept * va) / aa
-    top = int(np.argmax(found))
-    if (1.0 - kept) * least_speed > found[top] * dt:
+    fitted = thrusts.copy()
+    fitted[used] = (an - kept * va) / aa
+    top = int(np.argmax(fitted))
+    if (1.0 - kept) * least_speed > fitted[top] * dt:
         # d = u_top dt / least_speed: the regressor of u_top then is dt a_top - share v.
         share = dt / least_speed
         own = np.flatnonzero(used) == top
@@ -264,9 +264,9 @@ def _solve(
         gram += share**2 * vv * np.outer(own, own)
         right = an - va - share * (vn - vv) * own
         if own.any():
-            found[used] = np.linalg.solve(gram, right)
-        kept = 1.0 - min(float(found[top]) * share, 1.0)
-    return 1.0 - kept, found
+            fitted[used] = np.linalg.solve(gram, right)
+        kept = 1.0 - min(float(fitted[top]) * share, 1.0)
+    return 1.0 - kept, fitted
 
 
 def _limit(error: Floats, far: float = FAR) -> float:
@@ -312,8 +312,8 @@ def _fit_magnitudes(data: Transitions, one: Locomotion, thrusts: int) -> Locomot
     if len(length):
         guesses.append(np.quantile(length, spread))
     starts = [(one.damping, guess) for guess in guesses]
-    damping, found = best_of(data, starts, fast_speed(data), SEVERAL_TOLERANCE)
-    ordered = np.unique(found)[::-1] / one.thrust
+    damping, fitted = best_of(data, starts, fast_speed(data), SEVERAL_TOLERANCE)
+    ordered = np.unique(fitted)[::-1] / one.thrust
     if len(ordered) < thrusts:  # some coincide: exact tracks of fewer magnitudes
         return _with_multiples(data, one, fixed_multiples(thrusts))
     return Locomotion(damping, one.thrust, tuple(ordered.tolist()))

@@ -316,31 +316,31 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
                 f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without them, "
                 f"{whole.damping:.3g} and {whole.thrust:.3g} with them"
             )
-    found = []
+    warnings = []
     if still:
-        found.append(
+        warnings.append(
             f"{', '.join(still)} never moves in {fit.fitted_on}: nothing is learned of how it "
             "moves, and it is simulated where it stands; check the track"
         )
     if fast:
-        found.append(
+        warnings.append(
             f"With the thrust held {', '.join(fast)}: a policy that pushes on leaves what was "
             "recorded"
         )
     if unknown:
-        found.append(
+        warnings.append(
             f"The interval of d reaches 0 for {', '.join(unknown)}, so the recordings do not say "
             "how they slow down: record longer, or more turns and stops"
         )
     if jumps:
-        found.append(
+        warnings.append(
             f"Steps are left out as tracking jumps that matter ({'; '.join(jumps)}): look at the "
             "jumps ('animarl data check')"
         )
     if noisy:
-        found.append(
+        warnings.append(
             "Successive accelerations oppose each other, as tracking noise would make them (in "
             f"median steps: {', '.join(noisy)}), with which the joint fit overestimates u: import "
             "with --smoothing HZ, above the fastest movement that matters"
         )
-    return found
+    return warnings

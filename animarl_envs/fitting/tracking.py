@@ -17,7 +17,7 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
-from animarl_envs.focus import averaged, face, foci, focus_directions
+from animarl_envs.focus import averaged, focus_direction, focus_directions, focus_table
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
 
@@ -67,7 +67,7 @@ def track(
     )
     paths, speeds = np.empty_like(recorded), np.empty_like(velocity)
     actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
-    course, own_foci = velocity_now.copy(), foci(demos.roles, demos.dt)
+    course, table = velocity_now.copy(), focus_table(demos.roles, demos.dt)
     damping = np.array([own.damping for own in locomotion])
     thrust = np.array([own.thrust for own in locomotion])
     pushes = np.stack([own.action_vectors for own in locomotion])
@@ -77,7 +77,7 @@ def track(
             starts,
             recorded,
             velocity,
-            own_foci,
+            table,
             damping,
             thrust,
             pushes,
@@ -162,7 +162,7 @@ def _follow(  # type: ignore[no-untyped-def]
     starts,
     recorded,
     recorded_velocity,
-    own_foci,
+    table,
     damping,
     thrust,
     pushes,
@@ -193,9 +193,9 @@ def _follow(  # type: ignore[no-untyped-def]
             continue
         for i in range(K):  # all look before anyone moves
             for x in range(2):
-                course[i, x, b] = averaged(course[i, x, b], velocity[i, x, b], own_foci.share, t)
-            towards[i, 0], towards[i, 1] = face(
-                i, b, own_foci, position, course[i, 0, b], course[i, 1, b]
+                course[i, x, b] = averaged(course[i, x, b], velocity[i, x, b], table.share, t)
+            towards[i, 0], towards[i, 1] = focus_direction(
+                i, b, table, position, course[i, 0, b], course[i, 1, b]
             )
         for i in range(K):
             least, action, best_x, best_y = np.inf, 0, 0.0, 0.0

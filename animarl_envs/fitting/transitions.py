@@ -50,8 +50,8 @@ def transitions(demos: Demonstrations, individual: int) -> Transitions:
     """
     steps = whole_steps(demos)
     episode = np.searchsorted(demos.offsets, steps, side="right") - 1
-    who = slice(None) if demos.is_group else slice(individual, individual + 1)
-    velocity, focus = demos.velocities()[:, who], demos.focus()[:, who]
+    columns = slice(None) if demos.is_group else slice(individual, individual + 1)
+    velocity, focus = demos.velocities()[:, columns], demos.focus()[:, columns]
     return Transitions(
         velocity=velocity[steps].reshape(-1, 2),
         next_velocity=velocity[steps + 1].reshape(-1, 2),
@@ -170,7 +170,7 @@ def fit_onset(demos: Demonstrations, individual: int, onset_threshold: float) ->
 
 
 def top_speed(demos: Demonstrations, individual: int) -> float:
-    """|v|_max: median of the speeds above their 99th percentile [arena unit / s]."""
+    """Return |v|_max, the median of the speeds above their 99th percentile [arena unit / s]."""
     return _top_median(onset_data(demos, individual, onset_threshold=0.0).speed)
 
 
@@ -179,14 +179,14 @@ def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np
 
     ``weights`` ``(resamples, episodes)`` says how often each episode was drawn.
     """
-    found = np.full((len(weights), 2), np.nan)
+    refits = np.full((len(weights), 2), np.nan)
     for b, drawn in enumerate(weights.astype(np.int64)):
         onsets = np.repeat(data.onset_speed, drawn[data.onset_episode])
         if len(onsets):
             onset = float(np.median(onsets))
             top = _top_median(np.repeat(data.speed, drawn[data.episode]))
-            found[b] = onset / top, onset / data.dt
-    return found
+            refits[b] = onset / top, onset / data.dt
+    return refits
 
 
 def _top_median(speed: NDArray[np.float64]) -> float:

@@ -73,12 +73,12 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
             xtol=1e-9,
         )
         numbers = np.clip(fitted.x, LOWEST, HIGHEST)
-    found = turning(numbers)
+    fitted_turning = turning(numbers)
     own, travel = (
         float(np.median(heading_misses(demos, rule, individual)[0]))
-        for rule in (found, along_travel(demos, individual))
+        for rule in (fitted_turning, along_travel(demos, individual))
     )
-    return found if own < travel else None
+    return fitted_turning if own < travel else None
 
 
 def along_travel(demos: Demonstrations, individual: int = 0) -> Floats:

@@ -156,12 +156,12 @@ class Species(ABC):
 
     @property
     def pursuing(self) -> NDArray[np.bool_]:
-        """``(K,)``: who is no target."""
+        """Mask of the individuals that are not targets, ``(K,)``."""
         return np.array([role != "target" for role in self.roles])
 
     @property
     def goal(self) -> str:
-        """Return in words whom or what the others head for."""
+        """What the others head for, in words."""
         return self.individuals[-1]
 
     @property

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 TRAITS = ("own speed", "own turning")
 LARGEST = 3.0  # no individual is said to be further from the mean [sd]
 PARTS = 4  # of an episode, which are more alike than those of different ones if animals differ
-FEWEST = 8  # episodes, below which nobody can say so
+MIN_TRAIT_EPISODES = 8  # episodes, below which nobody can say so
 LEVEL = 0.01  # of the test that they differ
 
 
@@ -63,14 +63,14 @@ def episode_traits(positions: Floats, lengths: NDArray[np.integer], dt: float) -
     before, after = step[:-1], step[1:]
     sine = before[..., 0] * after[..., 1] - before[..., 1] * after[..., 0]
     turn = np.abs(np.arctan2(sine, (before * after).sum(axis=-1))) / dt
-    found = np.zeros((len(lengths), positions.shape[1], 2))
+    traits = np.zeros((len(lengths), positions.shape[1], 2))
     first = 0
     for number, length in enumerate(lengths.tolist()):
-        found[number, :, 0] = speed[first : first + length - 1].mean(axis=0)
+        traits[number, :, 0] = speed[first : first + length - 1].mean(axis=0)
         if length > 2:
-            found[number, :, 1] = turn[first : first + length - 2].mean(axis=0)
+            traits[number, :, 1] = turn[first : first + length - 2].mean(axis=0)
         first += length
-    return found
+    return traits
 
 
 def fit_traits(
@@ -86,13 +86,13 @@ def fit_traits(
     with require_extra("telling individuals apart by their traits", "data"):
         from scipy.stats import f
     num, (_, individuals, _) = len(lengths), positions.shape
-    if num < FEWEST or lengths.min() < 3 * PARTS:
+    if num < MIN_TRAIT_EPISODES or lengths.min() < 3 * PARTS:
         return None
     values = episode_traits(positions, lengths, dt)
     overall = values.mean(axis=0)
-    centre = np.stack([
-        values[condition == c].mean(axis=0) if (condition == c).any() else overall for c in (0, 1)
-    ])  # fmt: skip
+    centre = np.stack(
+        [values[condition == c].mean(axis=0) if (condition == c).any() else overall for c in (0, 1)]
+    )
     cut = np.stack([lengths // PARTS] * (PARTS - 1) + [lengths - lengths // PARTS * (PARTS - 1)])
     part = episode_traits(positions, cut.T.ravel(), dt).reshape(num, PARTS, individuals, 2)
     part = part - centre[condition][:, None]

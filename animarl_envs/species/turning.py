@@ -65,17 +65,17 @@ class Turning:
         return np.asarray(self.persistence * turn + self.gain * pull)
 
 
-def as_turning(given: Any, whose: str) -> Turning | None:
+def as_turning(given: Any, place: str) -> Turning | None:
     """Return a turning from one, from its numbers by name, or none; ``whose`` is for messages."""
     if isinstance(given, Mapping):
         try:
             return Turning(**given)
         except TypeError as error:
             raise InputError(
-                f"{whose} is {dict(given)!r}: name persistence, gain, slip and speed"
+                f"{place} is {dict(given)!r}: name persistence, gain, slip and speed"
             ) from error
     if not isinstance(given, Turning | None):
-        raise InputError(f"{whose} is {given!r}: give a Turning, its numbers by name, or None")
+        raise InputError(f"{place} is {given!r}: give a Turning, its numbers by name, or None")
     return given
 
 
@@ -99,5 +99,5 @@ def turnings_of(given: Any, individuals: Sequence[str]) -> tuple[Turning | None,
             "or None"
         )
     pairs = zip(individuals, each or (), strict=False)
-    found = tuple(as_turning(one, f"turning of {name}") for name, one in pairs)
-    return found if any(found) else ()
+    turnings = tuple(as_turning(one, f"turning of {name}") for name, one in pairs)
+    return turnings if any(turnings) else ()

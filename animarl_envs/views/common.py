@@ -84,7 +84,7 @@ class View:
         self._pictures.follow([True])
 
     def _shared_info(self, warming: bool) -> dict[str, Any]:
-        """What the infos of all individuals of a single copy share."""
+        """Return the entries that the infos of all individuals of a single copy share."""
         world = self.world
         return {
             "demo": world.demo.item(),
@@ -195,7 +195,7 @@ def cut_after(world: World, most: int | None) -> None:
         world.truncated |= (world.step_count >= most) & ~world.terminated
 
 
-def check_action(action: Any, num_actions: int, who: str = "") -> int:
+def check_action(action: Any, num_actions: int, of_individual: str = "") -> int:
     """Return one individual's action as Python's own whole number, of whatever integer type.
 
     Raises InputError if it is no whole number, or out of range.
@@ -208,7 +208,9 @@ def check_action(action: Any, num_actions: int, who: str = "") -> int:
     else:
         wrong = "out of range"
     if not 0 <= number < num_actions:
-        raise InputError(f"action {action!r}{who} is {wrong}: choose 0 to {num_actions - 1}")
+        raise InputError(
+            f"action {action!r}{of_individual} is {wrong}: choose 0 to {num_actions - 1}"
+        )
     return number
 
 

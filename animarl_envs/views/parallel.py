@@ -162,7 +162,7 @@ class AnimalParallelEnv(common.View, ParallelEnv[str, NDArray[np.float32], int])
         self._actions[0] = chosen
 
     def state(self) -> NDArray[np.float32]:
-        """Positions and velocities of all, flat, arena frame: ``(4 K,)``."""
+        """Return positions and velocities of all, flat, arena frame: ``(4 K,)``."""
         both = np.concatenate([self.world.position[0], self.world.velocity[0]], axis=1)
         return both.astype(np.float32).ravel()
 

@@ -83,8 +83,10 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         self._running = False
 
     def get_keys_to_action(self) -> dict[str, int]:
-        """Keys for :func:`gymnasium.utils.play.play`: w towards the focus, a left, s away, d right,
-        others and pairs in between, space coasts (give it as ``noop`` too).
+        """Return the keys for :func:`gymnasium.utils.play.play`.
+
+        They are w towards the focus, a left, s away, d right, others and pairs in between; space
+        coasts (give it as ``noop`` too).
         """
         vectors = self.scenario.species.locomotion[self.focal_index].action_vectors
         angles = {key: np.deg2rad(degrees) for key, degrees in KEYS.items()}

@@ -101,8 +101,10 @@ class AnimalVectorEnv(  # type: ignore[misc]
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start new episodes; ``options={"reset_mask": mask}`` in those copies only, and
-        ``{"demo": i}`` from that demonstration (one number, or one per copy, -1 for any).
+        """Start new episodes.
+
+        ``options={"reset_mask": mask}`` starts them in those copies only, and ``{"demo": i}`` from
+        that demonstration (one number, or one per copy, -1 for any).
 
         A list of seeds has one per copy; where it is ``None``, and where a mask leaves an episode
         running, the copy's stream goes on.

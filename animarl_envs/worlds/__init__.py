@@ -40,7 +40,7 @@ def make_world(
 
 
 def demonstration_observations(species: Species, demos: Demonstrations) -> NDArray[np.float32]:
-    """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
+    """Return observations of all recorded frames ``(frames, K, n)``, as its world gives them."""
     seen: NDArray[np.float32] = _module(species).demonstration_observations(species, demos)
     return seen
 
@@ -65,7 +65,7 @@ class Mirror:
     actions: NDArray[np.int64]  # (actions,), the mirrored action of each
 
     def observation(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Mirrored observations ``(..., n)``."""
+        """Return mirrored observations ``(..., n)``."""
         return seen[..., self.order] * self.sign
 
 

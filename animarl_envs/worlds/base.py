@@ -1,4 +1,4 @@
-"""What both worlds share: buffers, seeding, episode bookkeeping, noisy and late senses.
+"""The base of both worlds: buffers, seeding, episode bookkeeping, noisy and late senses.
 
 A world simulates ``copies`` episodes side by side. It knows nothing of Gymnasium: it is reset and
 stepped, and its arrays, which it owns and overwrites in place, are read.
@@ -80,9 +80,20 @@ class World(ABC):
     reward_components: tuple[str, ...]
     _describe: ClassVar[Callable[..., tuple[ObservationComponent, ...]]]
     _state_names: tuple[str, ...] = (
-        "position", "velocity", "sensed", "components", "reward", "terminated", "truncated",
-        "outcome", "step_count", "demo", "condition", "warming", "random_state",
-    )  # fmt: skip
+        "position",
+        "velocity",
+        "sensed",
+        "components",
+        "reward",
+        "terminated",
+        "truncated",
+        "outcome",
+        "step_count",
+        "demo",
+        "condition",
+        "warming",
+        "random_state",
+    )
 
     def __init__(
         self, scenario: Scenario, num_copies: int, observers: Iterable[int] | None = None
@@ -190,13 +201,23 @@ class World(ABC):
         """
         mask = self._everywhere if mask is None else mask
         _begin(
-            mask, self._any_demo if demo is None else demo,
-            len(self._demos.start) - 1 if self.scenario.paired else 0, self._demos.condition,
+            mask,
+            self._any_demo if demo is None else demo,
+            len(self._demos.start) - 1 if self.scenario.paired else 0,
+            self._demos.condition,
             -1 if self.scenario.condition == "demo" else self.scenario.condition,
-            self._warmup > 0, self.random_state, self.demo, self.condition, self.step_count,
-            self.terminated, self.truncated, self.outcome, self.warming, self._components,
+            self._warmup > 0,
+            self.random_state,
+            self.demo,
+            self.condition,
+            self.step_count,
+            self.terminated,
+            self.truncated,
+            self.outcome,
+            self.warming,
+            self._components,
             self._reward,
-        )  # fmt: skip
+        )
         self._start(mask)
         if self._disturbed:
             self._history[:, mask] = self.sensed[mask]
@@ -222,10 +243,10 @@ class World(ABC):
 
     @abstractmethod
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        """One step of all copies: move, decide the episode's end, reward, sense."""
+        """Advance all copies by one step: move, decide the episode's end, reward, sense."""
 
     def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
-        """Return what the next step executes if told ``actions`` ``(B, K)``.
+        """Return the actions ``(B, K)`` that the next step executes when given ``actions``.
 
         These are the demonstrated actions in copies that are warming up. A policy that sees its
         previous action must see what was done, in a simulator as in demonstrations.
@@ -236,16 +257,18 @@ class World(ABC):
             only = self._demos.start.item(self.demo.item()) + self.step_count.item()
             return self._demonstrated[only : only + 1]
         frame = self._demos.start[self.demo] + self.step_count
-        shown = self._demonstrated[np.where(self.warming, frame, 0)]
-        return np.where(self.warming[:, None], shown, actions)
+        recorded = self._demonstrated[np.where(self.warming, frame, 0)]
+        return np.where(self.warming[:, None], recorded, actions)
 
     @cached_property
     def _demonstrated(self) -> NDArray[np.int64]:
         """The actions of all recorded frames, ``(frames, K)``; computed when first needed."""
         assert self.demos is not None
-        shown = demonstrated_actions(self.demos, self.scenario.species.locomotion).astype(np.int64)
-        shown.flags.writeable = False
-        return shown
+        recorded = demonstrated_actions(self.demos, self.scenario.species.locomotion).astype(
+            np.int64
+        )
+        recorded.flags.writeable = False
+        return recorded
 
     def _disturb(self, mask: NDArray[np.bool_]) -> None:
         """Apply observation delay and noise."""
@@ -259,7 +282,7 @@ class World(ABC):
     # -- state ------------------------------------------------------------------------------------
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy by value: made anew from the scenario, then brought to the same state."""
+        """Pickle and copy by value: rebuild from the scenario, then restore the state."""
         made_of = self.scenario, self.num_copies, np.flatnonzero(self.observers)
         return type(self), made_of, (self.trackers, self.get_state())
 
@@ -297,9 +320,23 @@ class World(ABC):
 
 @jit
 def _begin(  # type: ignore[no-untyped-def]
-    mask, wanted, count, demo_condition, fixed, warms_up, random, demo, condition, step_count,
-    terminated, truncated, outcome, warming, components, reward,
-):  # fmt: skip
+    mask,
+    wanted,
+    count,
+    demo_condition,
+    fixed,
+    warms_up,
+    random,
+    demo,
+    condition,
+    step_count,
+    terminated,
+    truncated,
+    outcome,
+    warming,
+    components,
+    reward,
+):
     """Draw demonstration and condition of new episodes; nothing has happened in them yet."""
     K, C, B = components.shape
     for b in range(B):

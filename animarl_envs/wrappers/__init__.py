@@ -36,17 +36,21 @@ from animarl_envs.scenario import Scenario
 from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
 
 __all__ = [
-    "ConditionFlag", "ConditionFlagParallel", "ConditionFlagVector",
-    "DTWReward", "DTWRewardParallel", "DTWRewardVector",
-]  # fmt: skip
+    "ConditionFlag",
+    "ConditionFlagParallel",
+    "ConditionFlagVector",
+    "DTWReward",
+    "DTWRewardParallel",
+    "DTWRewardVector",
+]
 
 Cue = Literal["actual", "flipped", 0, 1]
 
 
 def cue_of(condition: NDArray[np.integer], cue: Cue) -> NDArray[np.int8]:
     """Return the conditions ``(...)`` as the cue tells them."""
-    told = {"actual": condition, "flipped": 1 - condition}.get(str(cue))
-    return np.array(np.full(condition.shape, cue) if told is None else told, dtype=np.int8)
+    flag = {"actual": condition, "flipped": 1 - condition}.get(str(cue))
+    return np.array(np.full(condition.shape, cue) if flag is None else flag, dtype=np.int8)
 
 
 def check_cue(cue: Any, conditions: tuple[str, ...], species: str) -> None:
@@ -246,10 +250,12 @@ class DTWRewardVector(_DTW, VectorWrapper):
         shaped = rewards - refund - self.alpha * cost
         return observations, shaped, terminated, truncated, infos
 
-    def _note(self, infos: dict[str, Any], paid: Any, distance: Any, step: Any, whose: Any) -> None:
+    def _note(
+        self, infos: dict[str, Any], paid: Any, distance: Any, step: Any, copies: Any
+    ) -> None:
         """Write rewards' parts and the alignment of the copies ``whose`` to ``infos``."""
         parts = {"dtw_distance": distance[:, 0].copy(), "aligned_step": step[:, 0].copy()} | paid
-        infos |= parts | {f"_{key}": whose.copy() for key in parts}
+        infos |= parts | {f"_{key}": copies.copy() for key in parts}
 
 
 class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]

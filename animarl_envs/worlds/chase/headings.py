@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.focus import focus_directions
 from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.scenario import REPLAY
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.layout import ABSENT, Seen
-from animarl_envs.worlds.chase.neighbours import WHO
+from animarl_envs.worlds.chase.neighbours import INDEX
 
 NOT_RECORDED = -1  # in the place of a frame
 
@@ -38,7 +38,7 @@ class Bodies(NamedTuple):
 def bodies_of(
     species: ChaseSpecies, num_copies: int, recorded: NDArray[np.float64] | None = None
 ) -> Bodies:
-    """Bodies that point along x; ``recorded`` headings are ``(frames, K)`` [rad]."""
+    """Return bodies that point along x; ``recorded`` headings are ``(frames, K)`` [rad]."""
     K = species.num_individuals
     n = K if species.has_headings else 0
     turns, numbers = np.zeros(n, dtype=bool), np.ones((5, n))
@@ -47,10 +47,14 @@ def bodies_of(
             slip = math.cos(own.slip), math.sin(own.slip)
             turns[i], numbers[:, i] = True, (own.persistence, own.gain, *slip, own.speed)
     return Bodies(
-        np.zeros((n, num_copies)), np.zeros((n, num_copies)), np.zeros((n, 2, num_copies)),
+        np.zeros((n, num_copies)),
+        np.zeros((n, num_copies)),
+        np.zeros((n, 2, num_copies)),
         np.zeros((0, K)) if recorded is None else np.ascontiguousarray(recorded),
-        turns, numbers, np.zeros((2, K, num_copies)),
-    )  # fmt: skip
+        turns,
+        numbers,
+        np.zeros((2, K, num_copies)),
+    )
 
 
 def first_headings(
@@ -59,7 +63,7 @@ def first_headings(
     velocity: NDArray[np.float64],
     recorded: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Headings ``(..., K)`` at the start of episodes [rad].
+    """Return headings ``(..., K)`` at the start of episodes [rad].
 
     ``position`` and ``velocity`` are ``(..., K, 2)``; ``recorded`` ``(..., K)`` is NaN where
     nothing was.
@@ -100,7 +104,7 @@ def recorded_bodies(
 # -- turning --------------------------------------------------------------------------------------
 
 
-@part
+@inline_kernel
 def turned(i, heading, turn, velocity_x, velocity_y, frame, bodies):  # type: ignore[no-untyped-def]
     """Return heading and turn of individual ``i`` after a step.
 
@@ -112,17 +116,25 @@ def turned(i, heading, turn, velocity_x, velocity_y, frame, bodies):  # type: ig
         along = wrapped(math.atan2(velocity_y, velocity_x))
         return along, turn_between(heading, along)
     if frame != NOT_RECORDED:
-        shown = wrapped(bodies.recorded[frame, i])
-        return shown, turn_between(heading, shown)
+        recorded = wrapped(bodies.recorded[frame, i])
+        return recorded, turn_between(heading, recorded)
     own = bodies.numbers
     turn = next_turn(
-        turn, math.cos(heading), math.sin(heading), velocity_x, velocity_y, own[0, i], own[1, i],
-        own[2, i], own[3, i], own[4, i],
-    )  # fmt: skip
+        turn,
+        math.cos(heading),
+        math.sin(heading),
+        velocity_x,
+        velocity_y,
+        own[0, i],
+        own[1, i],
+        own[2, i],
+        own[3, i],
+        own[4, i],
+    )
     return wrapped(heading + turn), turn
 
 
-@part
+@inline_kernel
 def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies, headed):  # type: ignore[no-untyped-def]
     """Turn all bodies after a step; ``velocity`` ``(K, 2, B)`` is that of the step."""
     if headed is None:
@@ -136,9 +148,14 @@ def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies, head
                 if at < demos.start[demo[b] + 1]:
                     frame = at
             heading, turn = turned(
-                i, bodies.heading[i, b], bodies.turn[i, b], velocity[i, 0, b], velocity[i, 1, b],
-                frame, bodies,
-            )  # fmt: skip
+                i,
+                bodies.heading[i, b],
+                bodies.turn[i, b],
+                velocity[i, 0, b],
+                velocity[i, 1, b],
+                frame,
+                bodies,
+            )
             bodies.heading[i, b] = heading
             bodies.turn[i, b] = turn
 
@@ -151,9 +168,14 @@ def _follow_frames(velocity, steps, bodies):  # type: ignore[no-untyped-def]
         for t in range(1, len(steps)):
             if steps[t] > 0:
                 heading, turn = turned(
-                    i, bodies.heading[i, t - 1], bodies.turn[i, t - 1], velocity[t, i, 0],
-                    velocity[t, i, 1], t if known else NOT_RECORDED, bodies,
-                )  # fmt: skip
+                    i,
+                    bodies.heading[i, t - 1],
+                    bodies.turn[i, t - 1],
+                    velocity[t, i, 0],
+                    velocity[t, i, 1],
+                    t if known else NOT_RECORDED,
+                    bodies,
+                )
                 bodies.heading[i, t] = heading
                 bodies.turn[i, t] = turn
 
@@ -161,8 +183,8 @@ def _follow_frames(velocity, steps, bodies):  # type: ignore[no-untyped-def]
 # -- seeing ---------------------------------------------------------------------------------------
 
 
-@part
-def face(bodies, headed):  # type: ignore[no-untyped-def]
+@inline_kernel
+def set_facing(bodies, headed):  # type: ignore[no-untyped-def]
     """Set the unit vectors of the headings."""
     if headed is None:
         return
@@ -172,15 +194,15 @@ def face(bodies, headed):  # type: ignore[no-untyped-def]
             bodies.facing[i, 1, b] = math.sin(bodies.heading[i, b])
 
 
-@part
+@inline_kernel
 def observe_headings(i, seen, towards, first, others, bodies, headed, observation):  # type: ignore[no-untyped-def]
-    """Where individual ``i`` and the others that it sees point, in its frame."""
+    """Observe where individual ``i`` and the others that it sees point, in its frame."""
     if headed is None or first[0, Seen.HEADING] == ABSENT:
         return
     for rank in range(-1, seen):
         at = first[0, Seen.HEADING] if rank < 0 else first[rank + 1, Seen.OTHER_HEADING]
         for b in range(others.shape[2]):
-            j = i if rank < 0 else int(others[rank, WHO, b])
+            j = i if rank < 0 else int(others[rank, INDEX, b])
             ex = towards[i, 0, b]
             ey = towards[i, 1, b]
             x = bodies.facing[j, 0, b]

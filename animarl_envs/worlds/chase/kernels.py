@@ -21,7 +21,7 @@ from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.compiling import jit, joint, part
+from animarl_envs.compiling import inline_kernel, inline_wrapper, jit
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
@@ -79,7 +79,7 @@ def start(mask, state):  # type: ignore[no-untyped-def]
                 touching |= _touches(i, b, position, contact_radius)
 
 
-@part
+@inline_kernel
 def _touches(i, b, position, contact_radius):  # type: ignore[no-untyped-def]
     """Return whether individual ``i`` is in contact with the last one."""
     last = position.shape[0] - 1
@@ -122,14 +122,14 @@ structref.define_proxy(ChaseReference, _ChaseReferenceType, ChaseState._fields) 
 
 
 @jit
-def refer(parts):  # type: ignore[no-untyped-def]
+def make_reference(parts):  # type: ignore[no-untyped-def]
     """Return a reference to ``parts``. Made in a kernel, since only then numba caches its users."""
     return ChaseReference(*parts)  # type: ignore[no-untyped-call]
 
 
 @jit
-def advance(asked, moving, state):  # type: ignore[no-untyped-def]
-    """Advance one step in one call, or only observe if not ``moving``; ``asked`` is ``(B, K)``."""
+def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
+    """Advance one step in one call, or only observe if not ``moving``; ``wanted`` is ``(B, K)``."""
     dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
     damping, thrust, pushes, drivers = state.damping, state.thrust, state.pushes, state.drivers
     actions, position, velocity = state.actions, state.position, state.velocity
@@ -140,37 +140,68 @@ def advance(asked, moving, state):  # type: ignore[no-untyped-def]
     if moving:
         for i in range(K):
             for b in range(B):
-                actions[i, b] = asked[b, i]
+                actions[i, b] = wanted[b, i]
         for b in range(B):
             step_count[b] += 1
         if state.driven:
-            drive(drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field,
-                  lone)  # fmt: skip
+            drive(
+                drivers,
+                actions,
+                position,
+                velocity,
+                towards,
+                damping,
+                thrust,
+                pushes,
+                dt,
+                field,
+                lone,
+            )
         remember(velocity, step_count, state.senses, state.free, state.past)
         move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
         if state.walled:
             rebound(field, position, velocity)
         accelerate(velocity, damping, thrust, dt, acceleration)
         if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
-            replay(drivers, warmup, demos, demo, step_count, state.senses, position, velocity,
-                   acceleration, warming)  # fmt: skip
-        turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies,
-                    state.headed)  # fmt: skip
+            replay(
+                drivers,
+                warmup,
+                demos,
+                demo,
+                step_count,
+                state.senses,
+                position,
+                velocity,
+                acceleration,
+                warming,
+            )
+        turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies, state.headed)
         _end(state.free, state)
         for b in range(B):
             outcome[b] = code[b]
             terminated[b] = code[b] != TIME_OUT
             truncated[b] = step_count[b] >= state.time_limit and code[b] == TIME_OUT
     observe(
-        position, velocity, acceleration, state.past, step_count, towards, state.bodies,
-        state.neighbours, state.senses, state.free, state.headed, state.full, state.observation,
-    )  # fmt: skip
+        position,
+        velocity,
+        acceleration,
+        state.past,
+        step_count,
+        towards,
+        state.bodies,
+        state.neighbours,
+        state.senses,
+        state.free,
+        state.headed,
+        state.full,
+        state.observation,
+    )
 
 
 # -- moving ---------------------------------------------------------------------------------------
 
 
-@joint
+@inline_wrapper
 def drive(  # type: ignore[no-untyped-def]
     drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field, lone
 ):
@@ -182,12 +213,22 @@ def drive(  # type: ignore[no-untyped-def]
                 actions[i, b] = coast
         elif drivers[i] == SCRIPTED:
             decide(
-                i, position, velocity, towards, damping, thrust, pushes, dt, field[0], field[1],
-                lone, actions,
-            )  # fmt: skip
+                i,
+                position,
+                velocity,
+                towards,
+                damping,
+                thrust,
+                pushes,
+                dt,
+                field[0],
+                field[1],
+                lone,
+                actions,
+            )
 
 
-@part
+@inline_kernel
 def move(actions, towards, damping, thrust, pushes, dt, position, velocity, before):  # type: ignore[no-untyped-def]
     """Move all by v' = (1 - d) v + u a dt, then p' = p + v' dt; ``before`` gets the old v."""
     K, _, B = position.shape
@@ -207,7 +248,7 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity, befo
             position[i, 1, b] += vy * dt
 
 
-@part
+@inline_kernel
 def accelerate(velocity, damping, thrust, dt, acceleration):  # type: ignore[no-untyped-def]
     """Turn the velocities before the step into accelerations in multiples of thrust, in place."""
     K, _, B = velocity.shape
@@ -219,7 +260,7 @@ def accelerate(velocity, damping, thrust, dt, acceleration):  # type: ignore[no-
                 acceleration[i, x, b] = added / push
 
 
-@part
+@inline_kernel
 def replay(  # type: ignore[no-untyped-def]
     drivers, warmup, demos, demo, step_count, senses, position, velocity, acceleration, warming
 ):
@@ -251,26 +292,55 @@ def replay(  # type: ignore[no-untyped-def]
 # -- ending and paying ----------------------------------------------------------------------------
 
 
-@joint
+@inline_wrapper
 def _end(free, state):  # type: ignore[no-untyped-def]
     if free is None:
         judge(
-            state.position, state.sharing, state.field, state.walled, state.lone,
-            state.contact_radius, state.dt, state.penalty, state.step_cost, state.nearest,
-            state.code, state.components, state.reward,
-        )  # fmt: skip
+            state.position,
+            state.sharing,
+            state.field,
+            state.walled,
+            state.lone,
+            state.contact_radius,
+            state.dt,
+            state.penalty,
+            state.step_cost,
+            state.nearest,
+            state.code,
+            state.components,
+            state.reward,
+        )
     else:
         judge_free(
-            state.position, state.field, state.walled, state.shoaling, state.contact_radius,
-            state.dt, state.penalty, state.code, state.components, state.reward,
-        )  # fmt: skip
+            state.position,
+            state.field,
+            state.walled,
+            state.shoaling,
+            state.contact_radius,
+            state.dt,
+            state.penalty,
+            state.code,
+            state.components,
+            state.reward,
+        )
 
 
-@part
+@inline_kernel
 def judge(  # type: ignore[no-untyped-def]
-    position, sharing, field, walled, lone, contact_radius, dt, penalty, step_cost, nearest, code,
-    components, reward,
-):  # fmt: skip
+    position,
+    sharing,
+    field,
+    walled,
+    lone,
+    contact_radius,
+    dt,
+    penalty,
+    step_cost,
+    nearest,
+    code,
+    components,
+    reward,
+):
     """Judge contact, then boundary (where there are no walls), then rewards.
 
     ``code`` ``(B,)`` int64 becomes the outcome; ``nearest`` is scratch, ``(B,)``. ``lone``: the
@@ -331,7 +401,7 @@ def judge(  # type: ignore[no-untyped-def]
             )
 
 
-@part
+@inline_kernel
 def judge_free(  # type: ignore[no-untyped-def]
     position, field, walled, shoaling, contact_radius, dt, penalty, code, components, reward
 ):
@@ -380,7 +450,7 @@ def _reach(damping, thrust, dt, steps):  # type: ignore[no-untyped-def]
 FAR_AWAY = 1e9  # a pursuer there costs nothing; it makes their number even
 
 
-@part
+@inline_kernel
 def _place_pursuer(  # type: ignore[no-untyped-def]
     j, i, row, begin, count, position, velocity, carried, pushed, theirs
 ):

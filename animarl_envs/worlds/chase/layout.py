@@ -88,16 +88,16 @@ class Group(NamedTuple):
     @property
     def entries(self) -> list[tuple[str, float, str]]:
         """Names, their signs in a mirrored world, and directions; empty for none."""
-        found = []
+        entries = []
         for name in [self.names] if isinstance(self.names, str) else self.names:
             head, two, rest = name.partition("{")
             pair, _, tail = rest.partition("}")
             if two:
                 first, _, second = pair.partition("|")
-                found += [(head + first + tail, 1.0, first), (head + second + tail, -1.0, second)]
+                entries += [(head + first + tail, 1.0, first), (head + second + tail, -1.0, second)]
             else:
-                found.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0, ""))
-        return found
+                entries.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0, ""))
+        return entries
 
     def describe(self, rank: int, name: str, direction: str) -> str:
         """Return the description of an entry, of the individual itself (0) or of another."""
@@ -442,11 +442,20 @@ def ranges(
             hardest = max(hardest, math.hypot(own.magnitudes[0], stop))
         push = min(HARDEST, hardest * (1.0 + 1e-6))  # rounded velocities may give a hair more
     around = {
-        "place": reach, "speed": top, "own speed": top * max(1.0, *scales.own_velocity),
-        "fine": math.tanh(relative), "coarse": math.tanh(relative / 3.0), "acceleration": push,
-        "unit": 1.0, "offset": 2.0 * radius, "difference": 2.0 * top, "angle": math.pi,
-        "centre": radius, "turn": math.pi / species.dt, "trait": LARGEST,
-    }  # fmt: skip
+        "place": reach,
+        "speed": top,
+        "own speed": top * max(1.0, *scales.own_velocity),
+        "fine": math.tanh(relative),
+        "coarse": math.tanh(relative / 3.0),
+        "acceleration": push,
+        "unit": 1.0,
+        "offset": 2.0 * radius,
+        "difference": 2.0 * top,
+        "angle": math.pi,
+        "centre": radius,
+        "turn": math.pi / species.dt,
+        "trait": LARGEST,
+    }
     return {name: (-most, most) for name, most in around.items()} | {
         "log speed": (math.log(REST), math.log(relative + REST)),
         "log steps": (0.0, math.log(1.0 + scales.time_limit)),

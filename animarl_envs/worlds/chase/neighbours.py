@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.species import ChaseSpecies
 
-DX, DY, DVX, DVY, APART, WHO = range(6)
+DX, DY, DVX, DVY, APART, INDEX = range(6)
 FEW = 4  # up to so many are sorted in all copies at once
 LINE = 8  # copies that lie in one cache line
 
@@ -33,7 +33,7 @@ class Neighbours(NamedTuple):
 
 
 def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
-    """Scratch for the individuals of a species in so many copies."""
+    """Return scratch for the individuals of a species in so many copies."""
     K, B = species.num_individuals, num_copies
     if species.free:
         seen = species.num_seen
@@ -42,9 +42,9 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
             order[i] = [j for j in range(seen + 1) if j != i][:seen]
         along = np.broadcast_to(np.arange(K, dtype=np.int16), (B if seen else 0, 2, K)).copy()
         state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((LINE, seen))
-        return Neighbours(np.zeros((max(1, seen), WHO + 1, B)), order, along, state, distance)
+        return Neighbours(np.zeros((max(1, seen), INDEX + 1, B)), order, along, state, distance)
     along = np.zeros((0, 2, K), dtype=np.int16)
-    others = np.zeros((K - 1, WHO + 1, B))
+    others = np.zeros((K - 1, INDEX + 1, B))
     if K - 1 <= FEW:
         return Neighbours(others, None, along, np.zeros((0, 4, K)), np.zeros((LINE, K)))
     order = np.zeros((K, B, K - 1), dtype=np.int16)
@@ -53,9 +53,9 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
     return Neighbours(others, order, along, np.zeros((B, 4, K)), np.zeros((LINE, K)))
 
 
-@part
+@inline_kernel
 def lay_out(position, velocity, observers, order, state):  # type: ignore[no-untyped-def]
-    """Before anybody looks: where there are many, each copy's state is copied to one place."""
+    """Copy each copy's state to one place, where there are many individuals."""
     if order is None:
         return
     if order.shape[2] > 0 and observers.any():
@@ -74,9 +74,9 @@ def _lay_out(position, velocity, state):  # type: ignore[no-untyped-def]
                     state[b, 2 + x, j] = velocity[j, x, b]
 
 
-@part
+@inline_kernel
 def find_focus(i, position, others):  # type: ignore[no-untyped-def]
-    """Of ``others``, the first alone and no velocity: what individual ``i`` turns to."""
+    """Fill the first row of ``others``, without velocities: the focus of individual ``i``."""
     last = position.shape[0] - 1
     if i != last:
         for b in range(position.shape[2]):
@@ -99,9 +99,9 @@ def find_focus(i, position, others):  # type: ignore[no-untyped-def]
             others[0, APART, b] = apart if nearer else others[0, APART, b]
 
 
-@part
+@inline_kernel
 def look(i, position, velocity, order, neighbours):  # type: ignore[no-untyped-def]
-    """Fill ``neighbours.others`` with what individual ``i`` sees; how many these are."""
+    """Fill ``neighbours.others`` with what individual ``i`` sees; return their number."""
     others = neighbours.others
     K = position.shape[0]
     first = 0 if i == K - 1 else 1  # the first rank of those in order of distance
@@ -137,36 +137,36 @@ def line_up(state, along):  # type: ignore[no-untyped-def]
 
 @jit
 def look_around(i, neighbours):  # type: ignore[no-untyped-def]
-    """Fill ``neighbours.others`` with the nearest of all others, in order; how many these are."""
+    """Fill ``neighbours.others`` with the nearest others, in order; return their number."""
     others, state, along = neighbours.others, neighbours.state, neighbours.along
-    best, who, B = neighbours.distance, neighbours.order[i], state.shape[0]
-    most = who.shape[1]
+    best, nearest, B = neighbours.distance, neighbours.order[i], state.shape[0]
+    most = nearest.shape[1]
     for begin in range(0, B, LINE):  # each line of ``others`` is written at once
         end = min(B, begin + LINE)
         for b in range(begin, end):
-            _select(i, state[b], along[b], best[b - begin], who[b])
+            _select(i, state[b], along[b], best[b - begin], nearest[b])
         for rank in range(most):
             for row in range(4):  # place, then velocity
                 for b in range(begin, end):
-                    j = who[b, rank]
+                    j = nearest[b, rank]
                     others[rank, row, b] = state[b, row, j] - state[b, row, i]
             for b in range(begin, end):
                 others[rank, APART, b] = math.sqrt(best[b - begin, rank])
-                others[rank, WHO, b] = who[b, rank]
+                others[rank, INDEX, b] = nearest[b, rank]
     return most
 
 
-@part
-def _select(i, state, along, best, who):  # type: ignore[no-untyped-def]
+@inline_kernel
+def _select(i, state, along, best, nearest):  # type: ignore[no-untyped-def]
     """Put the nearest others of ``i`` in one copy, in order, into ``who`` and ``best``, squared.
 
     ``who`` holds those of the last step, which bound how far it is to those of this one.
     """
-    line, here, most = along[0], along[1, i], len(who)
+    line, here, most = along[0], along[1, i], len(nearest)
     x, y = state[0, i], state[1, i]
     for rank in range(most):
-        dx, dy = state[0, who[rank]] - x, state[1, who[rank]] - y
-        _place(who[rank], dx * dx + dy * dy, rank, best, who)
+        dx, dy = state[0, nearest[rank]] - x, state[1, nearest[rank]] - y
+        _place(nearest[rank], dx * dx + dy * dy, rank, best, nearest)
     for side in (-1, 1):
         at = here + side
         while 0 <= at < len(line):
@@ -177,27 +177,27 @@ def _select(i, state, along, best, who):  # type: ignore[no-untyped-def]
             apart, known = dx * dx + dy * dy, False
             if apart <= best[most - 1]:
                 for rank in range(most):
-                    known |= who[rank] == j
-                if not known and (apart < best[most - 1] or j < who[most - 1]):
-                    _place(j, apart, most - 1, best, who)
+                    known |= nearest[rank] == j
+                if not known and (apart < best[most - 1] or j < nearest[most - 1]):
+                    _place(j, apart, most - 1, best, nearest)
             at += side
 
 
-@part
-def _place(j, apart, rank, best, who):  # type: ignore[no-untyped-def]
+@inline_kernel
+def _place(j, apart, rank, best, nearest):  # type: ignore[no-untyped-def]
     """Put animal ``j`` at ``rank`` or before, in the order of distance, ties by index."""
     at = rank
-    while at > 0 and (best[at - 1] > apart or (best[at - 1] == apart and who[at - 1] > j)):
+    while at > 0 and (best[at - 1] > apart or (best[at - 1] == apart and nearest[at - 1] > j)):
         best[at] = best[at - 1]
-        who[at] = who[at - 1]
+        nearest[at] = nearest[at - 1]
         at -= 1
     best[at] = apart
-    who[at] = j
+    nearest[at] = j
 
 
-@part
+@inline_kernel
 def _relate(i, j, rank, position, velocity, others):  # type: ignore[no-untyped-def]
-    """Position, velocity and distance of ``j`` relative to ``i``, arena frame."""
+    """Write position, velocity and distance of ``j`` relative to ``i``, arena frame."""
     for b in range(position.shape[2]):
         dx = position[j, 0, b] - position[i, 0, b]
         dy = position[j, 1, b] - position[i, 1, b]
@@ -206,15 +206,15 @@ def _relate(i, j, rank, position, velocity, others):  # type: ignore[no-untyped-
         others[rank, DVX, b] = velocity[j, 0, b] - velocity[i, 0, b]
         others[rank, DVY, b] = velocity[j, 1, b] - velocity[i, 1, b]
         others[rank, APART, b] = math.sqrt(dx * dx + dy * dy)
-        others[rank, WHO, b] = j
+        others[rank, INDEX, b] = j
 
 
-@part
+@inline_kernel
 def _exchange(rank, others):  # type: ignore[no-untyped-def]
     """Exchange this other individual and the next where this one is the farther."""
     for b in range(others.shape[2]):
         swap = others[rank, APART, b] > others[rank + 1, APART, b]
-        for row in range(WHO + 1):
+        for row in range(INDEX + 1):
             one = others[rank, row, b]
             two = others[rank + 1, row, b]
             others[rank, row, b] = two if swap else one
@@ -240,10 +240,10 @@ def _in_each_copy(i, first, count, order, neighbours):  # type: ignore[no-untype
                 others[first + rank, DVX, b] = state[b, 2, j] - state[b, 2, i]
                 others[first + rank, DVY, b] = state[b, 3, j] - state[b, 3, i]
                 others[first + rank, APART, b] = distance[b - begin, j]
-                others[first + rank, WHO, b] = j
+                others[first + rank, INDEX, b] = j
 
 
-@part
+@inline_kernel
 def _insert(order, count, distance):  # type: ignore[no-untyped-def]
     """Sort by distance, ties by index, by insertion into the last order."""
     for rank in range(1, count):

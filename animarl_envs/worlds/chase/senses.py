@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.compiling import jit, joint, part
+from animarl_envs.compiling import inline_kernel, inline_wrapper, jit
 from animarl_envs.focus import COURSE, FALLBACK, averaged, direction_of
 from animarl_envs.species import COMPACT, ChaseSpecies
-from animarl_envs.worlds.chase.headings import face, observe_headings
+from animarl_envs.worlds.chase.headings import observe_headings, set_facing
 from animarl_envs.worlds.chase.layout import (
     ABSENT,
     BODY,
@@ -89,16 +89,27 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
 
 
 def branches_of(species: ChaseSpecies) -> tuple[bool | None, bool | None, bool | None]:
-    """``free``, ``headed`` and ``full`` of :func:`observe`: None where it need not be compiled."""
+    """Return ``free``, ``headed`` and ``full`` of :func:`observe`; None is not compiled."""
     full = species.observation != COMPACT
     return species.free or None, species.has_headings or None, full or None
 
 
-@joint
+@inline_wrapper
 def observe(  # type: ignore[no-untyped-def]
-    position, velocity, acceleration, past, steps, towards, bodies, neighbours, senses, free,
-    headed, full, observation,
-):  # fmt: skip
+    position,
+    velocity,
+    acceleration,
+    past,
+    steps,
+    towards,
+    bodies,
+    neighbours,
+    senses,
+    free,
+    headed,
+    full,
+    observation,
+):
     """Compute focus directions of all and the observers' observations.
 
     ``neighbours`` is scratch, and so is of ``bodies`` what is not a state.
@@ -111,11 +122,14 @@ def observe(  # type: ignore[no-untyped-def]
     observation is wanted, ``headed`` where headings are no state.
     """
     first, observers, stride, own_velocity = (
-        senses.first, senses.observers, senses.stride, senses.own_velocity,
-    )  # fmt: skip
+        senses.first,
+        senses.observers,
+        senses.stride,
+        senses.own_velocity,
+    )
     near, scales, shape, edge = senses.near, senses.scales, senses.shape, senses.edge
     others = neighbours.others
-    face(bodies, headed)
+    set_facing(bodies, headed)
     lay_out(position, velocity, observers, neighbours.order, neighbours.state)
     if free is not None and observers.any():
         line_up(neighbours.state, neighbours.along)
@@ -127,7 +141,7 @@ def observe(  # type: ignore[no-untyped-def]
             else:
                 find_focus(i, position, others)
                 seen = 0
-            _face(i, others, towards)
+            _set_focus(i, others, towards)
         else:
             faced = 0
             _update_course(i, velocity, past, steps, senses, towards)
@@ -140,21 +154,40 @@ def observe(  # type: ignore[no-untyped-def]
         observe_headings(i, seen, towards, first, others, bodies, headed, observation)
         if full is not None:
             observe_own(
-                i, position, velocity, acceleration, past, steps, towards, first, stride[i],
-                own_velocity[i], senses.limit, bodies, observation,
-            )  # fmt: skip
+                i,
+                position,
+                velocity,
+                acceleration,
+                past,
+                steps,
+                towards,
+                first,
+                stride[i],
+                own_velocity[i],
+                senses.limit,
+                bodies,
+                observation,
+            )
             _observe_more_of_others(
                 i, seen, faced, position, velocity, others, towards, first, near, observation
             )
             if first[0, Seen.AT_WALL] != ABSENT:
                 observe_wall(
-                    i, position, velocity, towards, first, stride[i], scales, shape, edge,
+                    i,
+                    position,
+                    velocity,
+                    towards,
+                    first,
+                    stride[i],
+                    scales,
+                    shape,
+                    edge,
                     observation,
-                )  # fmt: skip
+                )
 
 
-@part
-def _face(i, others, towards):  # type: ignore[no-untyped-def]
+@inline_kernel
+def _set_focus(i, others, towards):  # type: ignore[no-untyped-def]
     """Set the unit vector towards the focus, which is the first of the others."""
     for x in range(2):
         for b in range(others.shape[2]):
@@ -162,7 +195,7 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
             towards[i, x, b] = others[0, DX + x, b] / apart if apart > 0.0 else FALLBACK[x]
 
 
-@part
+@inline_kernel
 def _update_course(i, velocity, past, steps, senses, towards):  # type: ignore[no-untyped-def]
     """Set the focus direction of a free animal, by its mean velocity up to the present."""
     share = senses.shares[ON_COURSE]
@@ -173,7 +206,7 @@ def _update_course(i, velocity, past, steps, senses, towards):  # type: ignore[n
         towards[i, 0, b], towards[i, 1, b] = direction_of(dx, dy)
 
 
-@part
+@inline_kernel
 def egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
     """Return a vector as ahead and left of individual ``i``, float32."""
     ex = towards[i, 0, b]
@@ -181,7 +214,7 @@ def egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
     return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)
 
 
-@part
+@inline_kernel
 def _put(i, at, source, j, k, factor, towards, observation):  # type: ignore[no-untyped-def]
     """Write ``factor`` times rows k and k + 1 of ``source[j]``, a vector, in the frame of ``i``."""
     if at == ABSENT:
@@ -193,7 +226,7 @@ def _put(i, at, source, j, k, factor, towards, observation):  # type: ignore[no-
         observation[i, at + 1, b] = left
 
 
-@part
+@inline_kernel
 def _put_plane(i, at, source, j, k, factor, observation):  # type: ignore[no-untyped-def]
     """Write such a vector in the arena frame."""
     if at == ABSENT:
@@ -206,42 +239,42 @@ def _put_plane(i, at, source, j, k, factor, observation):  # type: ignore[no-unt
 # -- the others -----------------------------------------------------------------------------------
 
 
-@part
+@inline_kernel
 def _observe_others(i, seen, faced, others, towards, first, observation):  # type: ignore[no-untyped-def]
     """Observe the others from individual ``i``; ``faced`` of them lie straight ahead."""
     B = others.shape[2]
     for rank in range(seen):
-        who = rank + 1
+        row = rank + 1
         for b in range(B):
-            observation[i, first[who, Seen.DISTANCE], b] = others[rank, APART, b]
-        _put(i, first[who, Seen.PLACE], others, rank, DX, 1.0, towards, observation)
-        if rank < faced and first[who, Seen.PLACE] != ABSENT:
+            observation[i, first[row, Seen.DISTANCE], b] = others[rank, APART, b]
+        _put(i, first[row, Seen.PLACE], others, rank, DX, 1.0, towards, observation)
+        if rank < faced and first[row, Seen.PLACE] != ABSENT:
             for b in range(B):
-                observation[i, first[who, Seen.PLACE] + 1, b] = 0.0
-        _put(i, first[who, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
+                observation[i, first[row, Seen.PLACE] + 1, b] = 0.0
+        _put(i, first[row, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
 
 
-@part
+@inline_kernel
 def _observe_more_of_others(  # type: ignore[no-untyped-def]
     i, seen, faced, position, velocity, others, towards, first, near, observation
 ):
     """Observe of the others what the compact observation leaves out."""
     B = others.shape[2]
     for rank in range(seen):
-        who = rank + 1
-        bearing_at, inverse_at = first[who, Seen.BEARING], first[who, Seen.NEARNESS]
-        place, going = first[who, Seen.OTHER_POSITION], first[who, Seen.OTHER_VELOCITY]
+        row = rank + 1
+        bearing_at, inverse_at = first[row, Seen.BEARING], first[row, Seen.NEARNESS]
+        place, going = first[row, Seen.OTHER_POSITION], first[row, Seen.OTHER_VELOCITY]
         if bearing_at != ABSENT:
             for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
                 bearing = np.float32(0.0) if rank < faced else angle_of(ahead, left)
                 observation[i, bearing_at, b] = bearing
-        if rank >= faced and first[who, Seen.BEARING_CIRCLE] != ABSENT:
+        if rank >= faced and first[row, Seen.BEARING_CIRCLE] != ABSENT:
             _observe_direction_of(i, rank, others, towards, first, observation)
         if inverse_at != ABSENT:
             for b in range(B):
                 observation[i, inverse_at, b] = 1.0 / (others[rank, APART, b] + near)
-        _put_plane(i, first[who, Seen.OFFSET], others, rank, DX, 1.0, observation)
+        _put_plane(i, first[row, Seen.OFFSET], others, rank, DX, 1.0, observation)
         if place != ABSENT:
             for x in range(2):
                 for b in range(B):
@@ -249,7 +282,7 @@ def _observe_more_of_others(  # type: ignore[no-untyped-def]
                     observation[i, going + x, b] = velocity[i, x, b] + others[rank, DVX + x, b]
 
 
-@part
+@inline_kernel
 def _observe_direction_of(i, rank, others, towards, first, observation):  # type: ignore[no-untyped-def]
     """Observe the unit vector towards another that is not the focus; at distance 0 the focus'."""
     circle, plane = first[rank + 1, Seen.BEARING_CIRCLE], first[rank + 1, Seen.DIRECTION]
@@ -266,7 +299,7 @@ def _observe_direction_of(i, rank, others, towards, first, observation):  # type
         observation[i, circle + 1, b] = uy * ex - ux * ey
 
 
-@part
+@inline_kernel
 def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
     """Observe the centre and the edge of the arena."""
     centre_at, edge_at = first[0, Seen.CENTRE_DISTANCE], first[0, Seen.EDGE]
@@ -284,7 +317,7 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
 # -- oneself --------------------------------------------------------------------------------------
 
 
-@part
+@inline_kernel
 def _observe_motion(i, velocity, acceleration, towards, first, factor, observation):  # type: ignore[no-untyped-def]
     """Observe own velocity and acceleration; ``factor`` applies to velocities without a scale."""
     _put(i, first[0, Seen.VELOCITY], velocity, i, 0, factor, towards, observation)
@@ -296,11 +329,22 @@ def _observe_motion(i, velocity, acceleration, towards, first, factor, observati
                 observation[i, row, b] = min(HARDEST, max(-HARDEST, observation[i, row, b]))
 
 
-@part
+@inline_kernel
 def observe_own(  # type: ignore[no-untyped-def]
-    i, position, velocity, acceleration, past, steps, towards, first, stride, factor, limit,
-    bodies, observation,
-):  # fmt: skip
+    i,
+    position,
+    velocity,
+    acceleration,
+    past,
+    steps,
+    towards,
+    first,
+    stride,
+    factor,
+    limit,
+    bodies,
+    observation,
+):
     """Observe own position, velocity on several scales, and the species' further senses.
 
     ``factor`` applies to the velocities that have no scale.
@@ -311,9 +355,15 @@ def observe_own(  # type: ignore[no-untyped-def]
     _put_plane(i, first[0, Seen.PLANE_VELOCITY], velocity, i, 0, factor, observation)
     if first[0, Seen.FINE] != ABSENT:
         _observe_scales(
-            i, velocity, towards, first[0, Seen.FINE], first[0, Seen.COARSE],
-            first[0, Seen.LOG_SPEED], stride, observation,
-        )  # fmt: skip
+            i,
+            velocity,
+            towards,
+            first[0, Seen.FINE],
+            first[0, Seen.COARSE],
+            first[0, Seen.LOG_SPEED],
+            stride,
+            observation,
+        )
     if first[0, Seen.COURSE] != ABSENT:
         course, push = first[0, Seen.COURSE], first[0, Seen.PUSH]
         _observe_direction(i, velocity, towards, course, FAINT * stride, observation)
@@ -330,23 +380,35 @@ def observe_own(  # type: ignore[no-untyped-def]
                 observation[i, at + x, b] = bodies.traits[x, i, b]
 
 
-@part
+@inline_kernel
 def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-untyped-def]
     """Observe own velocity in the past, and of free animals their turning and speed."""
     if first[0, FINE_PAST] != ABSENT:
         for scale in range(past.shape[0]):
             at = FINE_PAST + 3 * scale
             _observe_scales(
-                i, past[scale], towards, first[0, at], first[0, at + 1], first[0, at + 2], stride,
+                i,
+                past[scale],
+                towards,
+                first[0, at],
+                first[0, at + 1],
+                first[0, at + 2],
+                stride,
                 observation,
-            )  # fmt: skip
+            )
     if first[0, FINE_MEMORY] != ABSENT:
         for scale in range(SPANS):
             at = FINE_MEMORY + RECALLED * scale
             _observe_scales(
-                i, past[scale], towards, first[0, at], first[0, at + 1], first[0, at + 2], stride,
+                i,
+                past[scale],
+                towards,
+                first[0, at],
+                first[0, at + 1],
+                first[0, at + 2],
+                stride,
                 observation,
-            )  # fmt: skip
+            )
             for b in range(past.shape[3]):
                 turn, speed = past[SPANS + scale, i, 0, b], past[SPANS + scale, i, 1, b]
                 observation[i, first[0, at + 3], b] = turn
@@ -358,9 +420,9 @@ def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-un
                 observation[i, at + k, b] = log_of(np.float32(speed / stride + REST))
 
 
-@part
+@inline_kernel
 def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation):  # type: ignore[no-untyped-def]
-    """Own velocity where small differences show: recorded animals are slow most of the time."""
+    """Observe own velocity on three scales, since recorded animals are slow most of the time."""
     per_stride = 1.0 / stride
     for b in range(velocity.shape[2]):
         vx = velocity[i, 0, b] * per_stride
@@ -379,7 +441,7 @@ def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation
         observation[i, log, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
 
 
-@part
+@inline_kernel
 def _observe_direction(i, vector, towards, at, faint, observation):  # type: ignore[no-untyped-def]
     """Observe a direction by its second to fourth harmonic: powers of the unit vector."""
     for b in range(vector.shape[2]):
@@ -402,7 +464,7 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
 # -- walls ----------------------------------------------------------------------------------------
 
 
-@part
+@inline_kernel
 def observe_wall(  # type: ignore[no-untyped-def]
     i, position, velocity, towards, first, stride, scales, shape, edge, observation
 ):
@@ -446,7 +508,7 @@ def observe_wall(  # type: ignore[no-untyped-def]
 # -- the past -------------------------------------------------------------------------------------
 
 
-@part
+@inline_kernel
 def remember(velocity, steps, senses, free, past):  # type: ignore[no-untyped-def]
     """Update the averages with the present, before step number ``steps`` ``(B,)`` is taken."""
     if free is not None:
@@ -463,7 +525,7 @@ def remember(velocity, steps, senses, free, past):  # type: ignore[no-untyped-de
                     )
 
 
-@part
+@inline_kernel
 def _remember(i, at, to, velocity, steps, senses, past):  # type: ignore[no-untyped-def]
     """Update a free animal's averages in copy ``to`` from those of ``at`` and its motion."""
     vx, vy = velocity[i, 0, at], velocity[i, 1, at]
@@ -523,6 +585,8 @@ def _remember_frames(velocity, steps, senses, free, past):  # type: ignore[no-un
             for scale in range(past.shape[0]):
                 for x in range(2):
                     past[scale, i, x, t] = averaged(
-                        past[scale, i, x, t - 1], velocity[i, x, t - 1], senses.shares[scale],
+                        past[scale, i, x, t - 1],
+                        velocity[i, x, t - 1],
+                        senses.shares[scale],
                         np.inf,
-                    )  # fmt: skip
+                    )

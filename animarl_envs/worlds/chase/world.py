@@ -93,7 +93,7 @@ class ChaseWorld(World):
             self._state_names = (*self._state_names, "traits")
         arena, start = species.arena, scenario.start
         self._reference = by_reference(
-            kernels.refer,
+            kernels.make_reference,
             kernels.ChaseState(
                 **self._shared_state(),
                 actions=np.zeros((K, B), dtype=np.uint64),
@@ -202,7 +202,7 @@ def observe(
 
 
 def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:
-    """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
+    """Return observations of all recorded frames ``(frames, K, n)``, as its world gives them."""
     velocity, scales = demos.velocities(), species.scales
     pushes = np.zeros_like(velocity)  # in multiples of the thrust; zero at first frames
     for i, own in enumerate(scales.locomotion):
@@ -216,7 +216,7 @@ def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> 
 
 
 def recorded_traits(species: ChaseSpecies, demos: Demonstrations | None) -> NDArray[np.float64]:
-    """Traits of the individuals of recorded episodes, ``(episodes, K, 2)`` [sd]."""
+    """Return traits of the individuals of recorded episodes, ``(episodes, K, 2)`` [sd]."""
     if demos is None or species.traits is None:
         count = 0 if demos is None else len(demos)
         return np.zeros((count, species.num_individuals, 2))

@@ -124,7 +124,7 @@ class FilamentModel:
         )
 
     def _meander(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Unit-variance noise per puff, first-order autoregressive around the circle of puffs."""
+        """Return first-order autoregressive noise of unit variance around the circle of puffs."""
         memory = math.exp(-1.0 / (self.meander_time * self.puff_rate))
         frequency = np.exp(-2j * np.pi * np.fft.rfftfreq(self.num_puffs))
         gain = math.sqrt(1.0 - memory**2) / (1.0 - memory * frequency)
@@ -132,7 +132,7 @@ class FilamentModel:
         return np.asarray(np.fft.irfft(noise, self.num_puffs))
 
     def concentration(self, pattern: int, time: float) -> NDArray[np.float32]:
-        """Concentration at one time [s], ``(rows, columns)``, row 0 at the lowest y."""
+        """Return the concentration at one time [s], ``(rows, columns)``, row 0 at the lowest y."""
         rows, columns, _, _ = self.grid
         out = np.zeros((rows, columns), dtype=np.float32)
         paint(out, time, self.release(pattern), *self.kernel_constants())
@@ -143,9 +143,15 @@ class FilamentModel:
         _, _, x0, y0 = self.grid
         oldest = self.extent / (SLOWEST * self.advection_speed) + LATEST
         return (
-            self.puff_rate, math.ceil(oldest * self.puff_rate) + 1, self.initial_radius,
-            self.growth, self.extent, self.cell, x0, y0,
-        )  # fmt: skip
+            self.puff_rate,
+            math.ceil(oldest * self.puff_rate) + 1,
+            self.initial_radius,
+            self.growth,
+            self.extent,
+            self.cell,
+            x0,
+            y0,
+        )
 
 
 @jit

@@ -44,7 +44,7 @@ class HitTable(NamedTuple):
     cell: float  # side of a cell [m]
 
     def unpack(self, pattern: int, step: int) -> NDArray[np.bool_]:
-        """Hits of one step, ``(rows, columns)``."""
+        """Return hits of one step, ``(rows, columns)``."""
         flat = np.unpackbits(self.bits[pattern, step], bitorder="little")
         return flat[: self.rows * self.columns].reshape(self.rows, self.columns).astype(bool)
 
@@ -58,7 +58,7 @@ class HitTable(NamedTuple):
 
 @jit(forceinline=True)  # Python calls it, too
 def is_hit(table, pattern, step, x, y):  # type: ignore[no-untyped-def]
-    """Whether an antenna at ``(x, y)`` is hit; the middle of two cells belongs to the outer one."""
+    """Return whether an antenna at ``(x, y)`` is hit; a tie of two cells goes to the outer one."""
     column = table.source_column + int(math.copysign(math.floor(abs(x) / table.cell + 0.5), x))
     row = table.source_row + int(math.copysign(math.floor(abs(y) / table.cell + 0.5), y))
     if column < 0 or column >= table.columns or row < 0 or row >= table.rows:
@@ -68,7 +68,7 @@ def is_hit(table, pattern, step, x, y):  # type: ignore[no-untyped-def]
 
 
 def stencil_of(radius: float, cell: float) -> NDArray[np.int64]:
-    """Offsets ``(n, 2)`` in cells (row, column) within ``radius`` of a cell's centre."""
+    """Return offsets ``(n, 2)`` in cells (row, column) within ``radius`` of a cell's centre."""
     reach = math.floor(radius / cell + 1e-9)
     offsets = np.arange(-reach, reach + 1)
     rows, columns = np.meshgrid(offsets, offsets, indexing="ij")
@@ -116,7 +116,7 @@ class Plume(ABC):
 
     @abstractmethod
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
-        """To draw: values in [0, 1], lowest y first, and ``(x_low, x_high, y_low, y_high)``."""
+        """Return values in [0, 1] to draw, lowest y first, and their extent."""
 
     @staticmethod
     def from_array(
@@ -213,9 +213,16 @@ class ModelPlume(Plume):
         steps = max(1, round(model.period / dt))
         bits = np.zeros((steps, (rows * columns + 7) // 8), dtype=np.uint8)
         fill_from_model(
-            model.release(pattern), model.kernel_constants(), model.threshold,
-            1.0 / model.frame_rate, dt, stencil_of(antenna_radius, model.cell), rows, columns, bits,
-        )  # fmt: skip
+            model.release(pattern),
+            model.kernel_constants(),
+            model.threshold,
+            1.0 / model.frame_rate,
+            dt,
+            stencil_of(antenna_radius, model.cell),
+            rows,
+            columns,
+            bits,
+        )
         return HitTable(
             bits[None], rows, columns, round(-y0 / model.cell), round(-x0 / model.cell), model.cell
         )
@@ -266,9 +273,13 @@ class MoviePlume(Plume):
             spread(padded, 0, padded.shape[0], 0, padded.shape[1], stencil, packed[-1])
         row, column = self.source_pixel
         return HitTable(
-            np.stack(packed)[None], height + 2 * margin, width + 2 * margin,
-            height - 1 - row + margin, column + margin, cell,
-        )  # fmt: skip
+            np.stack(packed)[None],
+            height + 2 * margin,
+            width + 2 * margin,
+            height - 1 - row + margin,
+            column + margin,
+            cell,
+        )
 
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
         """Return values and extent to draw, see :meth:`Plume.field`."""
@@ -315,7 +326,7 @@ def hit_table(
 
 
 def _read_movie(path: Path | None) -> Iterator[NDArray[Any]]:
-    """Grey frames of a file, one by one."""
+    """Yield grey frames of a file, one by one."""
     assert path is not None
     if path.suffix == ".npy":
         try:
@@ -453,11 +464,11 @@ class FittedOdour(Plume):
         return HitTable(np.zeros((1, 1, 1), np.uint8), 1, 1, 0, 0, 1e-3)
 
     def chances(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
-        """P(no hit, left, right, both), ``(n, 4)``, of inputs ``(n, INPUTS)``."""
+        """Return P(no hit, left, right, both), ``(n, 4)``, of inputs ``(n, INPUTS)``."""
         return softmax(np.tanh(inputs @ self.first + self.bias) @ self.last + self.offset)
 
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
-        """To draw: the chance of a hit for a body that faces upwind and smelt nothing."""
+        """Return the chance of a hit for a body that faces upwind and smelt nothing, to draw."""
         x, y = np.meshgrid(np.arange(-0.05, 0.45, 0.01), np.arange(-0.15, 0.155, 0.01))
         rows = np.empty((x.size, INPUTS))
         for place, row in zip(np.stack([x.ravel(), y.ravel()], axis=-1), rows, strict=True):

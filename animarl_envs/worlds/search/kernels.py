@@ -16,7 +16,7 @@ from numba.core import types
 from numba.experimental import structref
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit, part
+from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_turn, next_velocity, residual, turn_between, wrapped
 from animarl_envs.scenario import ACTION, REPLAY
@@ -72,7 +72,7 @@ class Body(NamedTuple):
 
     @classmethod
     def of(cls, copies: int, baseline: float = 0.0) -> Body:
-        """Bodies that face upwind and smell nothing."""
+        """Return bodies that face upwind and smell nothing."""
         heading = np.zeros((2, copies))
         heading[0] = -1.0
         odour = np.full((2, copies), baseline)
@@ -89,19 +89,28 @@ def senses_of(species: SearchSpecies) -> Senses:
         slip = math.cos(turning.slip), math.sin(turning.slip)
         own = (turning.persistence, turning.gain, *slip, turning.speed)
     return Senses(
-        dt, species.rest_speed, species.antenna_length * math.cos(angle),
-        species.antenna_length * math.sin(angle), math.exp(-dt / species.odour_decay),
-        species.odour_baseline, math.exp(-dt / species.trace_decay), species.flow_threshold,
-        species.flow_limit, scales.locomotion[0].damping, scales.locomotion[0].thrust * scales.dt,
-        scales.own_velocity[0], turning is not None, *own,
-    )  # fmt: skip
+        dt,
+        species.rest_speed,
+        species.antenna_length * math.cos(angle),
+        species.antenna_length * math.sin(angle),
+        math.exp(-dt / species.odour_decay),
+        species.odour_baseline,
+        math.exp(-dt / species.trace_decay),
+        species.flow_threshold,
+        species.flow_limit,
+        scales.locomotion[0].damping,
+        scales.locomotion[0].thrust * scales.dt,
+        scales.own_velocity[0],
+        turning is not None,
+        *own,
+    )
 
 
 # -- the body ---------------------------------------------------------------------------------
 
 
-@part
-def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
+@inline_kernel
+def _set_heading(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
     """Point the body at ``angle`` from upwind, its unit vector given; note how far it turned."""
     body.heading[0, b] = cosine
     body.heading[1, b] = sine
@@ -109,32 +118,39 @@ def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
     body.angle[b] = angle
 
 
-@part
-def face(b, direction, body):  # type: ignore[no-untyped-def]
+@inline_kernel
+def set_direction(b, direction, body):  # type: ignore[no-untyped-def]
     """Point the body in a direction of the arena frame [rad]."""
     cosine = math.cos(direction)
     sine = math.sin(direction)
-    _face(b, cosine, sine, math.atan2(-sine, -cosine), body)
+    _set_heading(b, cosine, sine, math.atan2(-sine, -cosine), body)
 
 
-@part
+@inline_kernel
 def follow(b, velocity_x, velocity_y, rest_speed, body):  # type: ignore[no-untyped-def]
     """Point the body along the velocity; at rest it stays as it is."""
     speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
     body.turn[b] = 0.0
     if speed > rest_speed:
         angle = math.atan2(-velocity_y, -velocity_x)
-        _face(b, velocity_x / speed, velocity_y / speed, angle, body)
+        _set_heading(b, velocity_x / speed, velocity_y / speed, angle, body)
 
 
-@part
+@inline_kernel
 def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-def]
     """Turn by the equation of :mod:`animarl_envs.species.turning`."""
     turn = next_turn(
-        body.turn[b], body.heading[0, b], body.heading[1, b], velocity_x, velocity_y,
-        senses.persistence, senses.gain, senses.slip_cosine, senses.slip_sine,
+        body.turn[b],
+        body.heading[0, b],
+        body.heading[1, b],
+        velocity_x,
+        velocity_y,
+        senses.persistence,
+        senses.gain,
+        senses.slip_cosine,
+        senses.slip_sine,
         senses.turning_speed,
-    )  # fmt: skip
+    )
     angle = wrapped(body.angle[b] + turn)
     body.heading[0, b] = -math.cos(angle)
     body.heading[1, b] = -math.sin(angle)
@@ -142,25 +158,25 @@ def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-
     body.turn[b] = turn
 
 
-@part
+@inline_kernel
 def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
     """Turn the body: as ``recorded`` in ``frame``, by its own turning, or as it walks."""
     if not senses.turns:
         follow(b, velocity_x, velocity_y, senses.rest_speed, body)
     elif recorded and len(demo_heading) > 0:
-        face(b, demo_heading[frame], body)
+        set_direction(b, demo_heading[frame], body)
     else:
         _swing(b, velocity_x, velocity_y, senses, body)
 
 
-@part
+@inline_kernel
 def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
     """Set the body at the start of an episode: as recorded, else as it walks, upwind at rest."""
     known = recorded and len(demo_heading) > 0
     if known:
-        face(b, demo_heading[frame], body)
+        set_direction(b, demo_heading[frame], body)
     else:
-        _face(b, -1.0, 0.0, -0.0, body)
+        _set_heading(b, -1.0, 0.0, -0.0, body)
     if not (senses.turns and known):
         follow(b, velocity_x, velocity_y, senses.rest_speed, body)
     body.turn[b] = 0.0
@@ -174,9 +190,9 @@ def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body)
 # -- the senses -------------------------------------------------------------------------------
 
 
-@part
+@inline_kernel
 def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-untyped-def]
-    """Hits of the left and right antenna."""
+    """Return hits of the left and right antenna."""
     heading = body.heading
     front_x = position[0, b] + senses.ahead * heading[0, b]
     front_y = position[1, b] + senses.ahead * heading[1, b]
@@ -188,30 +204,46 @@ def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-un
     return left, right
 
 
-@part
+@inline_kernel
 def _since_hit(b, senses, body):  # type: ignore[no-untyped-def]
-    """Time since the last hit, by the age of its trace, at most ``LONGEST`` [s]."""
+    """Return the time since the last hit, by the age of its trace, at most ``LONGEST`` [s]."""
     trace = max(body.trace[0, b], body.trace[1, b])
     if trace <= 0.0:
         return LONGEST
     return min(LONGEST, senses.dt * math.log(trace) / math.log(senses.trace_remains))
 
 
-@part
+@inline_kernel
 def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-def]
-    """Hits drawn from a fitted odour; the signals tell the last hits, and the trace their age."""
+    """Draw hits from a fitted odour; signals hold the last hits, and the trace their age."""
     return draw_hits(
-        position[0, b], position[1, b], body.heading[0, b], body.heading[1, b],
-        body.odour[0, b] == 1.0, body.odour[1, b] == 1.0, _since_hit(b, senses, body), odour,
+        position[0, b],
+        position[1, b],
+        body.heading[0, b],
+        body.heading[1, b],
+        body.odour[0, b] == 1.0,
+        body.odour[1, b] == 1.0,
+        _since_hit(b, senses, body),
+        odour,
         next_uniform(random, b),
-    )  # fmt: skip
+    )
 
 
-@part
+@inline_kernel
 def sense(  # type: ignore[no-untyped-def]
-    b, velocity_x, velocity_y, push_x, push_y, hit_left, hit_right, condition, senses, body, out,
+    b,
+    velocity_x,
+    velocity_y,
+    push_x,
+    push_y,
+    hit_left,
+    hit_right,
+    condition,
+    senses,
+    body,
+    out,
     column,
-):  # fmt: skip
+):
     """Update the odour signals and write the observation into ``out[:, column]``.
 
     ``push_x`` and ``push_y`` led here, in multiples of the thrust; zero in a first frame.
@@ -261,9 +293,9 @@ def sense(  # type: ignore[no-untyped-def]
         out[k, column] = body.traits[k - traits, b]
 
 
-@part
+@inline_kernel
 def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
-    """Visual flow and the side the wind comes from; nothing of either in condition 1."""
+    """Sense visual flow and the side the wind comes from; neither in condition 1."""
     for row in range(Seen.FLOW, Seen.WIND_BACK + 1):
         out[row, column] = 0.0
     if condition != 0:
@@ -284,7 +316,7 @@ def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-unty
         out[Seen.WIND_LEFT, column] = 1.0
 
 
-@part
+@inline_kernel
 def _sense_more(b, velocity_x, velocity_y, senses, body, out, column):  # type: ignore[no-untyped-def]
     """Sense the same quantities on scales that networks can use, and a longer memory of hits."""
     out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
@@ -332,7 +364,7 @@ structref.define_proxy(SearchReference, _SearchReferenceType, SearchState._field
 
 
 @jit
-def refer(parts):  # type: ignore[no-untyped-def]
+def make_reference(parts):  # type: ignore[no-untyped-def]
     """Return a reference to ``parts``. Made in a kernel, since only then numba caches its users."""
     return SearchReference(*parts)  # type: ignore[no-untyped-call]
 
@@ -389,8 +421,8 @@ def start(mask, state):  # type: ignore[no-untyped-def]
 
 
 @jit
-def step(asked, state):  # type: ignore[no-untyped-def]
-    """All of a step in one call; ``asked`` is ``(B, 1)``; of a :class:`SearchState`."""
+def step(wanted, state):  # type: ignore[no-untyped-def]
+    """Advance a :class:`SearchState` by one step in one call; ``wanted`` is ``(B, 1)``."""
     damping, thrust, pushes = state.damping, state.thrust, state.pushes
     contact_radius, time_limit, warmup = state.contact_radius, state.time_limit, state.warmup
     driver, senses, table, demo = state.driver, state.senses, state.table, state.demo
@@ -421,7 +453,7 @@ def step(asked, state):  # type: ignore[no-untyped-def]
                 velocity[x, b] = demo_velocity[frame, 0, x]
                 position[x, b] = demo_position[frame, 0, x]
         else:
-            action = asked[b, 0] if driver == ACTION else len(pushes) - 1
+            action = wanted[b, 0] if driver == ACTION else len(pushes) - 1
             for x in range(2):  # the focus is (-1, 0), left of it is (0, -1)
                 velocity[x, b] = next_velocity(
                     velocity[x, b], -pushes[action, x], damping, thrust, dt
@@ -458,7 +490,7 @@ def step(asked, state):  # type: ignore[no-untyped-def]
 
 @jit
 def sense_recorded(velocity, start, condition, hits, headings, traits, senses, body, out):  # type: ignore[no-untyped-def]
-    """Observations of recorded frames; ``body`` is scratch of one copy."""
+    """Write observations of recorded frames; ``body`` is scratch of one copy."""
     for e in range(len(start) - 1):
         body.traits[:, 0] = traits[e]
         for frame in range(start[e], start[e + 1]):
@@ -474,6 +506,16 @@ def sense_recorded(velocity, start, condition, hits, headings, traits, senses, b
                 push_x = residual(vx, before_x, senses.damping) / senses.stride
                 push_y = residual(vy, before_y, senses.damping) / senses.stride
             sense(
-                0, vx, vy, push_x, push_y, hits[frame, 0], hits[frame, 1], condition[e], senses,
-                body, out, frame,
-            )  # fmt: skip
+                0,
+                vx,
+                vy,
+                push_x,
+                push_y,
+                hits[frame, 0],
+                hits[frame, 1],
+                condition[e],
+                senses,
+                body,
+                out,
+                frame,
+            )

@@ -101,7 +101,7 @@ class ProgrammedMoth:
         self.turned[mask] = 0.0
 
     def act(self, observation: NDArray[np.floating]) -> NDArray[np.int64]:
-        """Actions ``(copies, 1)`` for observations ``(copies, 1, n)`` of the search world."""
+        """Return the actions ``(copies, 1)`` for observations ``(copies, 1, n)``."""
         seen = np.asarray(observation, dtype=np.float64)[:, 0]
         programme, dt, count = self.programme, self.species.dt, self.copies
         draw_side = np.where(self.generator.random(count) < 0.5, 1.0, -1.0)

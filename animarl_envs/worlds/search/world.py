@@ -55,9 +55,17 @@ class SearchWorld(World):
 
     reward_components = ("touch", "elapsed")
     _state_names = (
-        *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "traits",
-        "past", "pattern", "phase",
-    )  # fmt: skip
+        *World._state_names,
+        "heading",
+        "body_angle",
+        "turn",
+        "odour",
+        "trace",
+        "traits",
+        "past",
+        "pattern",
+        "phase",
+    )
     _describe = observation_components
 
     def __init__(
@@ -94,7 +102,7 @@ class SearchWorld(World):
             low, high, width = species.start_region
             region = np.array([low, -width, high, width])
         self._reference = by_reference(
-            kernels.refer,
+            kernels.make_reference,
             kernels.SearchState(
                 **self._shared_state(),
                 driver=int(self._drivers[0]),
@@ -127,7 +135,7 @@ class SearchWorld(World):
         kernels.step(actions, self._reference)
 
     def antennae(self) -> NDArray[np.float64]:
-        """Positions of the left and right antenna, ``(B, 2, 2)``, arena frame."""
+        """Return positions of the left and right antenna, ``(B, 2, 2)``, arena frame."""
         return antennae_at(self.scenario.species, self.position[:, 0], self.heading)
 
     def scene_details(self, copy: int) -> dict[str, Any]:
@@ -142,7 +150,7 @@ class SearchWorld(World):
 def antennae_at(
     species: Any, position: NDArray[np.float64], heading: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Left and right antenna ``(..., 2, 2)`` of bodies at ``(..., 2)`` with unit headings."""
+    """Return both antennae ``(..., 2, 2)`` of bodies at ``(..., 2)``, headings as unit vectors."""
     angle = np.deg2rad(species.antenna_angle)
     ahead = species.antenna_length * math.cos(angle) * heading
     beside = species.antenna_length * math.sin(angle) * heading
@@ -153,7 +161,7 @@ def antennae_at(
 def demonstration_observations(
     species: SearchSpecies, demos: Demonstrations, condition: int | None = None
 ) -> NDArray[np.float32]:
-    """Observations of recorded episodes, ``(frames, 1, n)``, for offline learning.
+    """Return observations of recorded episodes, ``(frames, 1, n)``, for offline learning.
 
     The kernel is that of the simulation, so both mean the same. A species with its own ``turning``
     has the recorded heading (signal ``heading``), where there is one; without ``turning`` the
@@ -172,9 +180,16 @@ def demonstration_observations(
     out = np.zeros((len(observation_components(species)), len(demos.positions)), np.float32)
     conditions = demos.condition if condition is None else np.full_like(demos.condition, condition)
     kernels.sense_recorded(
-        demos.velocities(), demos.offsets.astype(np.int64), conditions, recorded.hits,
-        recorded.heading, recorded.traits, senses_of(species), Body.of(1), out,
-    )  # fmt: skip
+        demos.velocities(),
+        demos.offsets.astype(np.int64),
+        conditions,
+        recorded.hits,
+        recorded.heading,
+        recorded.traits,
+        senses_of(species),
+        Body.of(1),
+        out,
+    )
     return np.ascontiguousarray(out.T)[:, None]
 
 
@@ -229,5 +244,10 @@ def _recorded_senses(
     return _RecordedSenses(
         np.zeros((0, 2), dtype=bool) if hits is None else hits,
         np.zeros(0) if headings is None else headings.ravel(),
-        candidates, np.array([len(g) for g in groups]), group_of, pattern, phase, traits,
-    )  # fmt: skip
+        candidates,
+        np.array([len(g) for g in groups]),
+        group_of,
+        pattern,
+        phase,
+        traits,
+    )
