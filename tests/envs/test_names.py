@@ -103,6 +103,7 @@ def test_odd_names_are_shown_as_they_are(name: str, tmp_path: Path) -> None:
     assert "<script>" not in (tmp_path / "p.svg").read_text()
 
 
+@pytest.mark.slow
 def test_names_stand_escaped_in_the_report() -> None:
     run_page = pytest.importorskip("animarl_algos.report.run_page").run_page
     from report_inputs import report_inputs

@@ -81,6 +81,7 @@ def sections() -> dict[str, str]:
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_page_for_contributors_run(tmp_path: Path) -> None:
     programs = blocks("docs/contributing.md")
     assert len(programs) == 8
@@ -134,6 +135,7 @@ NAMES_A_SPECIES = {
 LEARNERS = (ROOT / "docs" / "learners.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_programs_of_the_page_of_learners_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ def test_one_world_of_animals_has_the_numbers_of_their_species(name: str) -> Non
     assert scenario_of(gym.make(environment_id(name)))["species"] == SPECIES[name.lower()]
 
 
+@pytest.mark.slow
 def test_one_world_of_the_command_line(tmp_path: Path) -> None:
     words = ("--algo", "dqn", "--steps", "30", "--set", "policy_kwargs={hidden: 8}")
     animarl("train", "--env", "AnimaRL/Fly-v0", *words, "--out", tmp_path / "run")

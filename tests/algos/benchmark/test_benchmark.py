@@ -167,6 +167,7 @@ def test_benchmark_goes_on_after_an_interruption(finished: Path, tmp_path: Path)
     assert bytes_of(out) == bytes_of(finished)
 
 
+@pytest.mark.slow
 def test_benchmark_says_that_a_process_died(tmp_path: Path) -> None:
     asked = plan(
         tiny(recipes=[], references=["still"], seeds=[0]),
@@ -176,6 +177,7 @@ def test_benchmark_says_that_a_process_died(tmp_path: Path) -> None:
     assert asked.worlds[0].finished(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processes", [1, 2])
 def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
     processes: int, tmp_path: Path

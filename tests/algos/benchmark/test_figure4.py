@@ -121,6 +121,7 @@ def test_a_table_of_a_lab_becomes_a_simulator_within_a_quarter(tmp_path: Path) -
         assert row["simulated"] == pytest.approx(row["recorded"], rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_program_moves_as_the_flies_that_it_made() -> None:
     met = bars_met(judged("fly", seed=0, rollouts=50))
     assert "Duration" in met and any("Classifier" in label for label in met)
@@ -145,6 +146,7 @@ def test_teams_and_the_programmed_moth_begin_at_every_test_start(name: str) -> N
     assert np.unique(made.demo).tolist() == list(range(int((demos.split == "test").sum())))
 
 
+@pytest.mark.slow
 def test_other_seeds_draw_other_rollouts() -> None:
     first, second = (judged("fly", seed, rollouts=10).row("duration") for seed in (0, 1))
     assert first["recorded"] == second["recorded"] and first["simulated"] != second["simulated"]

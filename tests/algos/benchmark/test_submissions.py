@@ -186,6 +186,7 @@ def test_every_episode_is_test_once_and_val_once(recordings: Demonstrations) -> 
         refuses(f"{count} folds of 6 recordings", list, cross_validated(recordings, count))
 
 
+@pytest.mark.slow
 def test_benchmark_crosses_own_recordings(
     finished: Path, asked: Plan, rows: dict[str, pd.DataFrame]
 ) -> None:

@@ -43,6 +43,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return few(train=4, val=2, test=2, skip=5).save(tmp_path_factory.mktemp("demos") / "small.npz")
 
 
+@pytest.mark.slow
 def test_from_a_file_to_a_report_and_again(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
@@ -62,6 +63,7 @@ def test_from_a_file_to_a_report_and_again(
     refused(animarl(*command, "--seed", "1"), "holds another run")
 
 
+@pytest.mark.slow
 def test_the_verdict_of_few_test_recordings_is_cross_validated(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
@@ -121,6 +123,7 @@ def test_train_by_environment_and_preset_then_more(
     refused(animarl("train", "--resume", "out/run", "--steps", "100"), "has 400 steps already")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_command_that_is_stopped_says_how_to_go_on(
     number: int,
@@ -146,6 +149,7 @@ def test_a_command_that_is_stopped_says_how_to_go_on(
     refused(blocked, "blocked/logs", "cannot be read or written")
 
 
+@pytest.mark.slow
 def test_one_individual_learns_and_is_evaluated(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
@@ -176,6 +180,7 @@ def test_one_individual_learns_and_is_evaluated(
     refused(animarl(*watch, "--focal", "predator_0"), "prey alone learned")
 
 
+@pytest.mark.slow
 def test_ones_own_animals_need_no_species(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:

@@ -69,6 +69,7 @@ def whole(folder: Path, tables: set[str]) -> None:
     assert "older version" not in page
 
 
+@pytest.mark.slow
 def test_methods_times_seeds_twice_the_same(
     animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
 ) -> None:
@@ -87,6 +88,7 @@ def test_methods_times_seeds_twice_the_same(
     assert contents(tmp_path / "first") == contents(tmp_path / "second")
 
 
+@pytest.mark.slow
 def test_one_run_is_rolled_out_again_in_its_own_folder(
     animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:
@@ -190,6 +192,7 @@ def test_trained_runs_are_judged_on_new_recordings(
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_earlier_results(
     animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:

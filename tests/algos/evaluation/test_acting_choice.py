@@ -211,6 +211,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return found
 
 
+@pytest.mark.slow
 def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: Run) -> None:
     chosen = run.acting("soft-bc")
     assert (run.path / "policies" / "soft-bc.acting.json").exists()

@@ -57,6 +57,7 @@ def test_the_interval_holds_one_half_in_nearly_all_experiments(starts: int, pair
     assert half_within(200, starts, paired=paired, deals=DEALS) >= 0.93
 
 
+@pytest.mark.slow
 def test_how_few_demonstrations_are_dealt_hardly_matters() -> None:
     rng = np.random.default_rng(3)
     centre = rng.normal(size=(10, 8))

@@ -92,6 +92,7 @@ def pace() -> Iterator[Metric]:
         planned=True, too_much="paces too fast", caption="Path length over duration.",
         heading="pace",
     )  # fmt: skip
+    report_inputs()  # evaluated without it
     add_metric(metric)
     yield metric
     METRICS.remove(metric)

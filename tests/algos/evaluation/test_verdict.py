@@ -310,6 +310,7 @@ def test_starts_that_were_rolled_out_more_often_weigh_no_more() -> None:
         assert often.value == pytest.approx(often.simulated - often.recorded)
 
 
+@pytest.mark.slow
 def test_worse_than_untrained_is_said_only_where_it_holds() -> None:
     demos = recorded_pairs()
     dead, true = simulated_pairs(demos, "dead"), simulated_pairs(demos, "true")

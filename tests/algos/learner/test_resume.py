@@ -132,6 +132,7 @@ for limit in (0, 100, 5000, whole // 2, whole - 1):
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_the_last_one(tmp_path: Path) -> None:
     """Files that may not grow, up to one byte less than a whole file of the checkpoint."""
     said = python(FULL, tmp_path, *FOLDERS).stdout.splitlines()

@@ -77,7 +77,7 @@ def test_a_cuda_device_learns_the_same(name: str) -> None:
 @pytest.mark.parametrize("policy", ["GruPolicy", "MlpPolicy"])
 def test_an_ordinary_gymnasium_environment(policy: str) -> None:
     env = toys.VelocityMasked(gym.make("CartPole-v1"))
-    now = {"learning_starts": 0, "train_freq": (4, "step")}
+    now = {"learning_starts": 0, "train_freq": (4, "step"), "gradient_steps": 4}
     model = DQN(policy, env, **SETTINGS | now, sequence_length=8, burn_in=4)
     model.learn(300)
     assert model._n_updates > 0 and model.num_timesteps == 300
@@ -91,6 +91,7 @@ def test_inputs_are_standardised_by_what_is_held_at_the_first_update(policy: str
     """Once, on both networks; what is acted on is what is learned from; a loaded learner has it."""
     env = toys.VelocityMasked(gym.make("CartPole-v1"))
     late = SETTINGS | {"train_freq": (4, "step"), "learning_starts": 200, "buffer_size": 600}
+    late |= {"gradient_steps": 4}
     length = 8 if policy == "GruPolicy" else 1
     model = DQN(policy, env, **late, standardise_inputs=True, sequence_length=length)
     network = model.policy.q_net

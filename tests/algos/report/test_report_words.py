@@ -89,6 +89,7 @@ def page_of(synthetic: bool) -> Page:
     return Page(rendered(bare_inputs(demos, rollouts)))
 
 
+@pytest.mark.slow
 def test_only_recordings_are_called_recorded() -> None:
     generated = "\n".join([*page_of(True).texts, *map(str, page_of(True).drawings)])
     said = re.findall(r"[^\n]*\brecord(?:ed|ings?)\b[^\n]*", generated, re.IGNORECASE)

@@ -24,6 +24,7 @@ def whole(counts: dict[str, dict[str, int]]) -> bool:
     return all(t["equal"] + t["refused"] == t["chains"] > 0 for t in counts.values())
 
 
+@pytest.mark.slow
 def test_import_and_training_survive_kills(tmp_path: Path) -> None:
     counts = killed(tmp_path, 3, "--only", "import", "--only", "train", "--seed", "7")
     assert counts["import-7"]["kills"] == 2

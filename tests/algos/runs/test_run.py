@@ -386,6 +386,7 @@ def test_acting_rules_that_are_all_far_are_said(
     assert len(found) == len(said) and all(map(str.startswith, found, said))
 
 
+@pytest.mark.slow
 def test_warnings_stand_on_the_page_once() -> None:
     warned = replace(report_inputs(), warnings=("It jumps & jumps.", "It jumps & jumps."))
     page = rendered(warned)

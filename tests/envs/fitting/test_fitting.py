@@ -292,6 +292,7 @@ def test_a_network_that_training_made_worse_is_said_first() -> None:
     assert implausible(worse)[0].startswith("An untrained network comes nearer")
 
 
+@pytest.mark.slow
 def test_a_share_that_was_never_recorded_is_off_only_where_it_is_common() -> None:
     demos = recorded_pairs()
     never = replace(demos, outcome=np.zeros(len(demos)))

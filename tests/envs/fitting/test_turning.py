@@ -137,6 +137,7 @@ def recorded() -> Demonstrations:
     return replace(demos, signals=signals, provenance=own)
 
 
+@pytest.mark.slow
 def test_a_law_of_hits_is_found_and_drawn_in_the_world(recorded: Demonstrations) -> None:
     species = species_of(recorded)
     odour = species.plume

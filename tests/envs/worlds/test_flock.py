@@ -168,6 +168,7 @@ def written(folder: Path, demos: Demonstrations, names: dict[str, str]) -> list[
     return [write_tracks(file, one.positions, given) for file, one in zip(files, demos)]
 
 
+@pytest.mark.slow
 def test_tables_of_a_sheepdog_become_a_run_with_a_report(tmp_path: Path) -> None:
     names = {"dog": "bella", "sheep_0": "ewe", "sheep_1": "lamb"}
     files = written(tmp_path, flock(2), names)
