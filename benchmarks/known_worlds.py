@@ -1,14 +1,15 @@
 """Simulated animals of known statistics, perfect simulators of them, and simulators with one fault.
 
-Two worlds: a *free pair*, in which one follows the other's speed and nothing ends an episode but
-time, and a *chase*, which contact ends. Both have what recordings of animals have and two-second
-windows do not show: bursts that begin faster than they end, turns that persist for seconds, a
-preferred side, individuals that differ, a partner that reacts late. All data here is synthetic.
+Four worlds: one animal alone and a shoal in a walled dish; a *free pair*, in which one follows the
+other's speed and nothing ends an episode but time; and a *chase*, which contact ends. All have what
+recordings of animals have and two-second windows do not show: bursts that begin faster than they
+end, turns that persist for seconds, a preferred side, individuals that differ, neighbours that
+react late. All data here is synthetic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,59 +26,99 @@ DT = 0.1  # [s]
 LIMIT = 200  # steps of an episode
 CONTACT = 0.12  # [arena unit]
 ARENA = Arena("open", 1.0, 1.1)
+DISH = Arena("disc", 1.0, 1.1, rebound=True)
 BLOCK = 20  # steps: order is lost beyond 2 s
 LATE = 3  # steps that a reaction is late
 
 
 @dataclass(frozen=True)
 class KnownWorld:
-    """A world of two animals; ``chase`` says whether the first pursues the second."""
+    """A world of so many animals.
 
-    chase: bool
+    Parameters
+    ----------
+    animals
+        Two are a free pair or a chase in an open field, any other number is in a dish.
+    chase
+        Whether the first of two pursues the second.
+    late
+        Steps by which animals react later than those that were recorded.
+    field
+        How far from the centre of the dish animals go [arena unit].
+    side
+        Mean of the turning that animals prefer [rad/s].
+    """
+
+    animals: int = 2
+    chase: bool = False
+    late: int = 0
+    field: float = 1 - 1e-6
+    side: float = 0.25
 
     @property
-    def roles(self) -> tuple[str, str]:
-        return ("pursuer", "target") if self.chase else ("pursuer", "pursuer")
+    def arena(self) -> Arena:
+        """The open field or the dish."""
+        return ARENA if self.animals == 2 else DISH
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Pursuer and target in a chase; otherwise all are alike."""
+        return ("pursuer", "target") if self.chase else ("pursuer",) * self.animals
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of the faults that a simulator of this world can have."""
+        missing = set() if self.arena is DISH else {"never at walls"}
+        missing |= {"roles swapped", "independent speeds"} if self.animals != 2 else set()
+        missing |= set() if self.chase else {"straight at the target"}
+        missing |= {"0.3 s late"} if self.animals == 1 else set()
+        return tuple(name for name in (*FAULTS, *SETTINGS) if name not in missing)
 
     def episodes(self, start: Floats, rng: np.random.Generator) -> tuple[list[Floats], list[int]]:
-        """Simulate an episode from each start ``(episodes, 2, 2)``; paths and outcomes."""
-        many = len(start)
-        heading = rng.uniform(-np.pi, np.pi, (many, 2))
-        side = 0.25 + rng.normal(0.0, 0.3, (many, 2))  # preferred turning [rad/s]
+        """Simulate an episode from each start ``(episodes, animals, 2)``; paths and outcomes."""
+        many, number = start.shape[:2]
+        size = (many, number)
+        heading = rng.uniform(-np.pi, np.pi, size)
+        side = self.side + rng.normal(0.0, 0.3, size)  # preferred turning [rad/s]
         turn = side.copy()
-        boldness = np.exp(rng.normal(0.0, 0.15, (many, 2)))
-        speed = np.zeros((many, 2))
+        boldness = np.exp(rng.normal(0.0, 0.15, size))
+        often, hard = (np.array([first] + [rest] * (number - 1)) for first, rest in BURSTS)
+        speed = np.zeros(size)
         position, path = start.copy(), [start.copy()]
         alive, length = np.ones(many, dtype=bool), np.full(many, LIMIT + 1)
-        late = [speed.copy() for _ in range(4)]
+        past = [(position, heading, speed)] * (self.late + 4)
         for step in range(1, LIMIT + 1):
-            turn += DT / 3.0 * (side - turn) + 0.6 * np.sqrt(2 * DT / 3.0) * rng.normal(
-                size=(many, 2)
-            )
-            heading += DT * turn + 0.1 * rng.normal(size=(many, 2))
-            burst = rng.random((many, 2)) < np.array([0.08, 0.05])
-            kick = np.array([0.5, 0.35]) * boldness * rng.uniform(0.6, 1.4, (many, 2))
+            turn += DT / 3.0 * (side - turn) + 0.6 * np.sqrt(2 * DT / 3.0) * rng.normal(size=size)
+            heading = heading + DT * turn + 0.1 * rng.normal(size=size)
+            burst = rng.random(size) < often
+            kick = hard * boldness * rng.uniform(0.6, 1.4, size)
             speed = np.where(burst, np.maximum(speed, kick), 0.9 * speed)
+            seen = past[-self.late][0] if self.late else position
             if self.chase:
-                offset = position[:, 1] - position[:, 0]
-                wanted = np.arctan2(offset[:, 1], offset[:, 0])
-                error = np.angle(np.exp(1j * (wanted - heading[:, 0])))
-                heading[:, 0] += 0.25 * error
-                near = np.linalg.norm(offset, axis=1) < 0.4
-                away = np.angle(np.exp(1j * (wanted - heading[:, 1])))
-                heading[:, 1] += np.where(near, 0.2 * away, 0.0)
+                offset = seen[:, 1] - position[:, 0], position[:, 1] - seen[:, 0]
+                wanted, away = (np.arctan2(one[:, 1], one[:, 0]) for one in offset)
+                heading[:, 0] += 0.25 * _turned(wanted - heading[:, 0])
+                near = np.linalg.norm(offset[1], axis=1) < 0.4
+                heading[:, 1] += np.where(near, 0.2 * _turned(away - heading[:, 1]), 0.0)
                 speed[:, 1] = np.where(near & (rng.random(many) < 0.1), 0.45, speed[:, 1])
-            else:
-                speed[:, 1] = 0.75 * speed[:, 1] + 0.2 * late[0][:, 0]
-            late = [*late[1:], speed.copy()]
+            elif number == 2:
+                speed[:, 1] = 0.75 * speed[:, 1] + 0.2 * past[0][2][:, 0]
+            elif number > 2:
+                heading, speed = _shoaling(position, heading, speed, past[3])
+            past = [*past[1:], (position, heading, speed)]
             moved = np.where(speed < 0.03, 0.0, speed)
             course = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
             position = position + DT * moved[..., None] * course
+            if self.arena is DISH:  # who meets the wall goes along it
+                position, met = _held(position, self.field)
+                out = np.arctan2(position[..., 1], position[..., 0])
+                along = out + np.where(np.sin(heading - out) < 0, -0.5, 0.5) * np.pi
+                heading = np.where(met, along, heading)
             path.append(position.copy())
             if self.chase:
-                met = np.linalg.norm(position[:, 0] - position[:, 1], axis=1) < CONTACT
-                length[alive & met] = step + 1
-                alive &= ~met
+                caught = np.linalg.norm(position[:, 0] - position[:, 1], axis=1) < CONTACT
+                length[alive & caught] = step + 1
+                alive &= ~caught
         paths = np.stack(path, axis=1)
         ends = [TIME_OUT if n == LIMIT + 1 else 1 for n in length.tolist()]
         return [one[:n] for one, n in zip(paths, length.tolist())], ends
@@ -85,25 +126,33 @@ class KnownWorld:
     def recordings(self, count: int, rng: np.random.Generator) -> Demonstrations:
         """Record so many episodes."""
         first = rng.uniform(-0.5, 0.5, (count, 1, 2))
-        angle = rng.uniform(-np.pi, np.pi, (count, 1))
-        apart = rng.uniform(0.5, 0.9, (count, 1, 1)) * np.stack([np.cos(angle), np.sin(angle)], -1)
-        paths, ends = self.episodes(np.concatenate([first, first + apart], axis=1), rng)
+        number = self.animals
+        if number == 2:
+            angle = rng.uniform(-np.pi, np.pi, (count, 1))
+            aside = np.stack([np.cos(angle), np.sin(angle)], -1)
+            start = np.concatenate([first, first + rng.uniform(0.5, 0.9, (count, 1, 1)) * aside], 1)
+        else:
+            start = first + rng.uniform(-0.2, 0.2, (count, number, 2))
+        paths, ends = self.episodes(start, rng)
         return Demonstrations(
             species="custom",
-            individuals=("first", "second"),
+            individuals=("first", "second", "third", "fourth")[:number],
             roles=self.roles,
             dt=DT,
-            arena=ARENA,
+            arena=self.arena,
             positions=np.concatenate(paths),
             lengths=np.array([len(path) for path in paths]),
-            initial_velocity=np.zeros((count, 2, 2)),
+            initial_velocity=np.zeros((count, number, 2)),
             condition=np.zeros(count, dtype=np.int8),
             outcome=np.array(ends),
             split=np.full(count, "test"),
             recording=np.array([f"recording {i}" for i in range(count)]),
-            provenance={"source": "benchmarks/known_worlds.py", "licence": "MIT",
-                        "synthetic": True},
-        )  # fmt: skip
+            provenance={
+                "source": "benchmarks/known_worlds.py",
+                "licence": "MIT",
+                "synthetic": True,
+            },
+        )
 
     def rollouts(self, recorded: Demonstrations, each: int, rng: np.random.Generator) -> Rollouts:
         """Let a perfect simulator run ``each`` times from every start."""
@@ -111,14 +160,71 @@ class KnownWorld:
         start = recorded.positions[recorded.offsets[:-1]][demo]
         return _rollouts(recorded, *self.episodes(start, rng), demo, each)
 
+    def faulty_rollouts(
+        self, recorded: Demonstrations, each: int, fault: str, rng: np.random.Generator
+    ) -> Rollouts:
+        """Let a simulator with one of :attr:`faults` run ``each`` times from every start."""
+        if fault in SETTINGS:
+            return replace(self, **SETTINGS[fault]).rollouts(recorded, each, rng)
+        made = with_fault(self.rollouts(recorded, each, rng), FAULTS[fault], rng)
+        if self.arena is not DISH:
+            return made
+        paths = made.positions.reshape(len(made), LIMIT + 1, self.animals, 2)
+        held = [paths[:, 0]]
+        for step in np.diff(paths, axis=1).swapaxes(0, 1):
+            held.append(_held(held[-1] + step, self.field)[0])
+        return replace(made, positions=np.stack(held, axis=1).reshape(made.positions.shape))
 
-WORLDS = {"free pair": KnownWorld(chase=False), "chase": KnownWorld(chase=True)}
+
+BURSTS = ((0.08, 0.05), (0.5, 0.35))  # chance a step, and speed, of the first and of the others
+WORLDS = {
+    "solo": KnownWorld(animals=1),
+    "free pair": KnownWorld(),
+    "chase": KnownWorld(chase=True),
+    "shoal": KnownWorld(animals=4),
+}
+SETTINGS: Mapping[str, Mapping[str, float]] = {
+    "mirrored": {"side": -0.25},
+    "0.3 s late": {"late": LATE},
+    "never at walls": {"field": 0.8},
+}
+"""Faults that are another setting of the world; the others change paths."""
+
+
+def _turned(angle: Floats) -> Floats:
+    return np.asarray(np.angle(np.exp(1j * angle)))
+
+
+def _held(position: Floats, field: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return positions within the dish, and which met its wall."""
+    radius = np.linalg.norm(position, axis=-1)
+    inside = position * np.minimum(1.0, field / np.maximum(radius, 1e-12))[..., None]
+    return inside, radius > field
+
+
+def _shoaling(
+    position: Floats, heading: Floats, speed: Floats, seen: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Return headings and speeds after attraction, alignment and repulsion, by what was seen."""
+    number = heading.shape[1]
+    others = (np.ones((number, number)) - np.eye(number)) / (number - 1)
+    centre = others @ seen[0] - position
+    course = np.exp(1j * seen[1]) @ others
+    distance = np.linalg.norm(centre, axis=-1)
+    wanted = np.arctan2(centre[..., 1], centre[..., 0])
+    pull = np.where(distance < 0.15, -0.15, np.minimum(0.3 * distance, 0.15))
+    heading = heading + pull * np.sin(wanted - heading)
+    heading = heading + 0.12 * np.abs(course) * np.sin(np.angle(course) - heading)
+    return heading, speed + 0.1 * (seen[2] @ others - speed)
 
 
 def _rollouts(
-    recorded: Demonstrations, paths: list[Floats], ends: list[int], demo: NDArray[np.int64],
+    recorded: Demonstrations,
+    paths: list[Floats],
+    ends: list[int],
+    demo: NDArray[np.int64],
     each: int,
-) -> Rollouts:  # fmt: skip
+) -> Rollouts:
     return Rollouts(
         method="simulator",
         individuals=recorded.individuals,
@@ -182,18 +288,6 @@ def path_reversed(paths: list[Floats], rng: np.random.Generator) -> list[Floats]
     return [_from_steps(path, -np.diff(path, axis=0)[::-1]) for path in paths]
 
 
-def mirrored(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
-    """Mirror every path at the line through the starts of both."""
-    out = []
-    for path in paths:
-        axis = path[0, 1] - path[0, 0]
-        axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
-        offset = path - path[0, 0]
-        along = offset @ axis
-        out.append(path[0, 0] + 2 * along[..., None] * axis - offset)
-    return out
-
-
 def roles_swapped(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
     """Let each do what the other did."""
     return [_from_steps(path, np.diff(path, axis=0)[:, ::-1]) for path in paths]
@@ -238,16 +332,6 @@ def independent_speeds(paths: list[Floats], rng: np.random.Generator) -> list[Fl
     return out
 
 
-def late(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
-    """Let the second do everything 0.3 s later than it did."""
-    out = []
-    for path in paths:
-        step = np.diff(path, axis=0)
-        step[:, 1] = np.concatenate([np.zeros((LATE, 2)), step[:, 1]])[: len(step)]
-        out.append(_from_steps(path, step))
-    return out
-
-
 def circles(paths: list[Floats], rng: np.random.Generator) -> list[Floats]:
     """Let everybody walk in circles, with the speeds they had."""
     out = []
@@ -273,12 +357,10 @@ FAULTS: dict[str, Fault] = {
     "order lost beyond 2 s": order_lost,
     "bursts reversed": bursts_reversed,
     "path reversed": path_reversed,
-    "mirrored": mirrored,
     "roles swapped": roles_swapped,
     "30 % frozen": frozen,
     "straight at the target": straight,
     "independent speeds": independent_speeds,
-    "0.3 s late": late,
     "circles": circles,
     "too much alike": too_much_alike,
 }

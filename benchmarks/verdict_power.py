@@ -1,13 +1,13 @@
-"""How often a verdict errs, and how often it sees a known fault.
+"""How often a verdict errs, and how often it finds a known fault.
 
-    python benchmarks/verdict_power.py [--runs 100] [--starts 10 20 50] [--seeds 0 1 2]
-    python benchmarks/verdict_power.py --rows
+    python benchmarks/verdict_power.py
     python benchmarks/verdict_power.py --quick
 
 Perfect simulators and simulators with one known fault (:mod:`benchmarks.known_worlds`) are judged
-as any other. Printed is, for each, in which share of runs something *differs*, and in which share
-nothing differs and nothing is unknown (a green page). A perfect simulator should have the first in
-at most 5 %, and a fault the second. ``--rows`` leaves the two classifiers out.
+as any other. The first table counts how often something *differs* although the simulator is
+perfect, and how many questions are *alike*; the second how often something *differs* where there is
+a fault, and how often the page is green all the same. Classifiers take most of the time. They judge
+the first ``--judged`` perfect simulators of each row, and faults that measures find too rarely.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,77 +23,119 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
 from animarl_algos.evaluation.classifier import classify_all
-from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import compare
-from animarl_algos.evaluation.verdict_rows import ALIKE, DIFFERS, LITTLE, classifier_row
-from animarl_envs.demos.demonstrations import Demonstrations
-from benchmarks.known_worlds import FAULTS, WORLDS, KnownWorld, with_fault
+from animarl_algos.evaluation.verdict_rows import ALIKE, DIFFERS, LITTLE, UNKNOWN, classifier_row
+from benchmarks.known_worlds import FAULTS, SETTINGS, WORLDS
 
 EACH = 5  # rollouts from every start
-FAULTS_SHARE = 5  # so many times fewer runs of a fault than of a perfect simulator
 PERFECT = "perfect"
+FEW = 2  # runs of many starts
+FAULT_STARTS = 50  # of simulators with a fault
+SEEN = 0.8  # of runs, in which a fault should be found
 
 
-def words_of(
-    recorded: Demonstrations, rollouts: Rollouts, seed: int, *, classifiers: bool
-) -> set[str]:
-    """Return the words of a verdict without all that stands beside it.
+def judgements(
+    world: str, simulator: str, starts: int, run: int, *, classifiers: bool
+) -> list[str]:
+    """Return the words of all questions of one simulated experiment.
 
-    It takes a fraction of the time, and is asked thousands of times.
+    With ``classifiers`` those of classifiers come last, unless a measure differs already.
     """
-    compared, streams = compare(recorded, rollouts, seed)
-    words = {row.judgement for row in compared.rows()}
+    names = [PERFECT, *FAULTS, *SETTINGS]
+    rng = np.random.default_rng([run, starts, names.index(simulator), [*WORLDS].index(world)])
+    known = WORLDS[world]
+    recorded = known.recordings(starts, rng)
+    if simulator == PERFECT:
+        rollouts = known.rollouts(recorded, EACH, rng)
+    else:
+        rollouts = known.faulty_rollouts(recorded, EACH, simulator, rng)
+    compared, streams = compare(recorded, rollouts, run)
+    words = [row.judgement for row in compared.rows()]
     if classifiers and DIFFERS not in words:
         prepared, counted = compared.prepared, compared.counted
         answers = classify_all(prepared, counted, {}, None, compared.unit, streams[:3], alone=True)
-        words |= {classifier_row(*answer).judgement for answer in answers}
+        words += [classifier_row(*answer).judgement for answer in answers]
     return words
 
 
-def shares(
-    world: KnownWorld, fault: str, starts: int, runs: int, seed: int, *, classifiers: bool
-) -> tuple[float, float]:
-    """Return the share of runs in which something differs, and that of green pages."""
-    differs = green = 0
-    for run in range(runs):
-        rng = np.random.default_rng([seed, run, starts, len(fault), world.chase])
-        recorded = world.recordings(starts, rng)
-        rollouts = world.rollouts(recorded, EACH, rng)
-        if fault != PERFECT:
-            rollouts = with_fault(rollouts, FAULTS[fault], rng)
-        words = words_of(recorded, rollouts, run, classifiers=classifiers)
-        differs += DIFFERS in words
-        green += words <= {ALIKE, LITTLE}
-    return differs / runs, green / runs
+def perfect_rows(
+    worlds: Sequence[str], starts: Sequence[int], many: Sequence[int], runs: int, judged: int
+) -> Iterator[str]:
+    """Yield the table of perfect simulators."""
+    yield "| world | recordings | runs | something differs | page green | alike | not known |"
+    yield "|---|---|---|---|---|---|---|"
+    for world in worlds:
+        for number in [*starts, *many]:
+            times = FEW if number in many else runs
+            last = 0 if number in many else judged
+            words = [
+                judgements(world, PERFECT, number, run, classifiers=run < last)
+                for run in range(times)
+            ]
+            counted = [
+                (DIFFERS in w, is_green(w), w.count(ALIKE) / len(w), w.count(UNKNOWN) / len(w))
+                for w in words
+            ]
+            shares = " | ".join(f"{100 * s:.0f} %" for s in np.mean(counted, axis=0))
+            yield f"| {world} | {number} | {times} | {shares} |"
+
+
+def fault_rows(
+    worlds: Sequence[str], faults: Sequence[str], runs: int, *, classifiers: bool
+) -> Iterator[str]:
+    """Yield the table of faults."""
+    yield f"| fault | {' | '.join(worlds)} |"
+    yield "|---|" + "---|" * len(worlds)
+    for fault in faults:
+        cells = []
+        for world in worlds:
+            if fault not in WORLDS[world].faults:
+                cells.append("–")
+                continue
+            words = [
+                judgements(world, fault, FAULT_STARTS, r, classifiers=False) for r in range(runs)
+            ]
+            if classifiers and np.mean([DIFFERS in each for each in words]) < SEEN:
+                for run, each in enumerate(words):
+                    if DIFFERS not in each:
+                        words[run] = judgements(world, fault, FAULT_STARTS, run, classifiers=True)
+            found = np.mean([DIFFERS in each for each in words])
+            green = np.mean([is_green(each) for each in words])
+            cells.append(f"{100 * found:.0f} %, {100 * green:.0f} %")
+        yield f"| {fault} | {' | '.join(cells)} |"
+
+
+def is_green(words: Sequence[str]) -> bool:
+    """Whether everything is alike, or differs a little."""
+    return set(words) <= {ALIKE, LITTLE}
 
 
 def main() -> None:
+    faults = [*FAULTS, *SETTINGS]
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--runs", type=int, default=100, help="of perfect simulators; faults: 1/5")
+    parser.add_argument("--runs", type=int, default=60, help="of perfect simulators")
+    parser.add_argument("--judged", type=int, default=10, help="of these with classifiers")
+    parser.add_argument("--fault-runs", type=int, default=12)
     parser.add_argument("--starts", type=int, nargs="+", default=[10, 20, 50])
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--worlds", nargs="+", default=[*WORLDS], choices=[*WORLDS])
     parser.add_argument(
-        "--faults", nargs="+", default=[PERFECT, *FAULTS], choices=[PERFECT, *FAULTS]
+        "--many",
+        type=int,
+        nargs="*",
+        default=[200, 1000],
+        help=f"starts of {FEW} more runs, without classifiers",
     )
-    parser.add_argument("--rows", action="store_true", help="without the classifiers")
-    parser.add_argument("--quick", action="store_true", help="few runs of 10 starts, one seed")
+    parser.add_argument("--worlds", nargs="+", default=[*WORLDS], choices=[*WORLDS])
+    parser.add_argument("--faults", nargs="*", default=faults, choices=faults)
+    parser.add_argument("--quick", action="store_true", help="few runs, without classifiers")
     args = parser.parse_args()
-    runs, sizes, seeds = (5, [10], [0]) if args.quick else (args.runs, args.starts, args.seeds)
-    columns = [f"{what}, {n} starts" for n in sizes for what in ("differs", "green")]
-    print(f"| world | simulator | {' | '.join(columns)} |")
-    print("|---|---|" + "---|" * len(columns))
-    for name in args.worlds:
-        for fault in args.faults:
-            number = runs if fault == PERFECT else max(1, runs // FAULTS_SHARE)
-            told = []
-            for n in sizes:
-                each = [
-                    shares(WORLDS[name], fault, n, number, seed, classifiers=not args.rows)
-                    for seed in seeds
-                ]
-                told += [f"{100 * share:.0f} %" for share in np.mean(each, axis=0).tolist()]
-            print(f"| {name} | {fault} | {' | '.join(told)} |", flush=True)
+    runs, judged, fault_runs, many = args.runs, args.judged, args.fault_runs, args.many
+    if args.quick:
+        runs, judged, fault_runs, many = 5, 0, 1, []
+    for line in perfect_rows(args.worlds, args.starts, many, runs, judged):
+        print(line, flush=True)
+    print(f"\nFaults, {FAULT_STARTS} recordings: something differs, page green\n")
+    for line in fault_rows(args.worlds, args.faults, fault_runs, classifiers=judged > 0):
+        print(line, flush=True)
     print(f"\n{time.process_time():.0f} s of processor time", file=sys.stderr)
 
 
