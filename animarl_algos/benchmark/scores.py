@@ -27,12 +27,18 @@ from numpy.typing import NDArray
 from animarl_algos.benchmark.methods import RECORDINGS, recordings_of_other_starts
 from animarl_algos.evaluation import statistics
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
-from animarl_algos.evaluation.metrics import DTW_PER_STEP, METRICS, Metric
+from animarl_algos.evaluation.metrics import (
+    DTW_PER_STEP,
+    METRICS,
+    SUMMARY,
+    Metric,
+    summary_table,
+)
 from animarl_algos.evaluation.prepared import Prepared, censored, comparison_smoothing
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
-from animarl_algos.evaluation.verdict import SUMMARY, summary_table, verdict
+from animarl_algos.evaluation.verdict import verdict
 from animarl_algos.evaluation.verdict_rows import ALIKE, COLOURS
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT

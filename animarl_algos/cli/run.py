@@ -137,8 +137,8 @@ def run_command(**given: Any) -> None:
       animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
     """
     from animarl_algos.cli.fit import format_fit_table
+    from animarl_algos.evaluation.headline import list_implausible
     from animarl_algos.evaluation.own_measures import register_measures
-    from animarl_algos.evaluation.verdict import implausible
     from animarl_algos.evaluation.verdict_rows import Questions
     from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
@@ -180,13 +180,15 @@ def run_command(**given: Any) -> None:
         pipeline.cross_validate(run, folds)
     begin("3/4", f"evaluating on {tested}")
     evaluation, words = pipeline.evaluate_run(run, questions), Words.of(run.demos)
-    warn([*implausible(evaluation.verdict), *far_acting_rules(run)])
+    found = evaluation.verdict
+    off = list_implausible(found.rows(), found.worse_than_untrained)
+    warn([*off, *far_acting_rules(run)])
     if given["details"]:
         console.print(evaluation_table(evaluation, words=words))
-        console.print(verdict_table(evaluation.verdict, words))
+        console.print(verdict_table(found, words))
     begin("4/4", "writing the report")
     page = pipeline.report(run)
-    for line in verdict_lines(evaluation.verdict, words):
+    for line in verdict_lines(found, words):
         console.print(line)
     console.print(f"Open {page}")
 

@@ -20,6 +20,7 @@ from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
 from animarl_algos.evaluation.statistics import Floats
+from animarl_algos.learner.pretraining import shown_progress
 from animarl_algos.networks.acting_rule import Acting
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -148,16 +149,23 @@ def choose_acting(
     while number < MOST_ROUNDS and not repeats:
         own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
         waiting = [*alive, *(further if number == 0 else ())]
-        for place, rule in enumerate(waiting):
-            if number == 0 and place == len(rules):
-                near = min(above(others, each[0]) for each in tried.values()) <= MARGIN
-                if near:
-                    break
-            simulated = collect_rollouts(
-                make_world, policy_for(rule, own), method="candidate", seed=own,
-                repetitions=repetitions, cue=cue,
-            )  # fmt: skip
-            tried.setdefault(rule, []).append(realism.components(simulated))
+        title = f"choice of acting, round {number + 1} of at most {MOST_ROUNDS}"
+        with shown_progress(title, "rule", len(waiting)) as bar:
+            for place, rule in enumerate(waiting):
+                if number == 0 and place == len(rules):
+                    near = min(above(others, each[0]) for each in tried.values()) <= MARGIN
+                    if near:
+                        break
+                simulated = collect_rollouts(
+                    make_world,
+                    policy_for(rule, own),
+                    method="candidate",
+                    seed=own,
+                    repetitions=repetitions,
+                    cue=cue,
+                )
+                tried.setdefault(rule, []).append(realism.components(simulated))
+                bar.update()
         number, alive = number + 1, list(tried) if number == 0 else alive
         if number > 1:
             repeats = chosen_by(slice(0, None, 2)) == chosen_by(slice(1, None, 2))

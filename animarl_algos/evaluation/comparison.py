@@ -28,7 +28,7 @@ from animarl_algos.evaluation.metrics import (
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws, Floats, Ints
-from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
+from animarl_algos.evaluation.verdict import Verdict, verdict
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -274,7 +274,7 @@ class Evaluation:
         folder = Path(folder)
         try:
             numbers = read_json(folder / "evaluation.json")
-            tables: dict[str, Any] = {n: read_table(folder / f"{n}.csv") for n in TABLES}
+            tables: dict[str, Any] = {n: statistics.read_table(folder / f"{n}.csv") for n in TABLES}
             return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:
             raise InputError(

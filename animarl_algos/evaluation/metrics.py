@@ -39,6 +39,8 @@ TOLERANCES = {OF_MEAN: 0.10, OF_SHARE: 0.05, OF_SPREAD: 0.25, OF_WIDTH: 0.25}
 """Differences that count as alike: as part of the recorded mean; as a share; in standard deviations
 between recordings, for what may be zero; and as part of the recorded spread."""
 
+SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
+
 Measure = Callable[[MeasuredEpisodes], Floats]
 
 
@@ -169,7 +171,7 @@ METRICS = [
            caption="Duration per episode: all episodes, and captures only."),
     Metric(key="dtw", label="DTW distance", unit=ARENA_UNITS, of_recordings=False, planned=True,
            measure=lambda e: e.dtw[0], heading="DTW distance", by_time=False,
-           caption="Distance of each rollout to the demonstration that it started from after the "
+           caption="Distance of each rollout to the recording that it started from after the "
                    "best alignment in time (dynamic time warping, DTW), mean over the pursuers (or "
                    "the moth's), summed along the warping path: all episodes, and captures only."),
     Metric(key="dtw_per_step", label="DTW distance per step", unit=ARENA_UNITS,
@@ -268,6 +270,12 @@ def measures(prepared: Prepared, rollouts: Rollouts) -> dict[str, Floats]:
         metric.key: np.asarray((scale if metric.is_length else 1.0) * metric.measure(episodes))
         for metric in judged_metrics(prepared)
     }
+
+
+def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
+    """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
+    true, found = (measures(prepared, side) for side in (prepared.recorded, rollouts))
+    return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
 
 
 def compared_metrics(recorded: Episodes) -> list[Metric]:

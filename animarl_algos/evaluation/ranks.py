@@ -2,7 +2,8 @@
 
 If a simulator is perfect, the recording is one more rollout: its rank among them by any measure is
 uniform, whatever the distribution (Besag and Clifford 1989, Biometrika 76, 633). One test asks this
-of several measures together. Of a recording that was cut into pieces the first counts, so that
+of several measures together. By realism, each episode is scored by its likelihood under the others
+from the same start. Of a recording that was cut into pieces the first counts, so that
 ranks are independent.
 """
 
@@ -12,8 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from animarl_algos.evaluation.realism import leave_one_out
 from animarl_algos.evaluation.statistics import Floats, Ints
+from animarl_algos.evaluation.verdict_rows import Comparison
+from animarl_envs.demos.episode import UNFINISHED
 
+RANKED = ("duration", "path_length", "mean_speed", "turning", "nearest_neighbour")
+"""Metrics by which recordings are ranked, besides realism."""
 DRAWS = 1000  # of ranks of a perfect simulator
 
 
@@ -27,6 +33,27 @@ class Ranks:
     measures: tuple[str, ...]
     values: Floats
     p: float
+
+
+def rank_recordings(compared: Comparison, rng: np.random.Generator) -> Ranks:
+    """Rank each recording among its rollouts by some metrics, and by how typical it is of all.
+
+    Nothing is known of the duration of a recording that was cut: it has no rank by that.
+    """
+    prepared, kept = compared.prepared, ~compared.counted.copies
+    counted = compared.counted.select(kept)
+    columns = [i for i, metric in enumerate(compared.metrics) if metric.key in RANKED]
+    first, second = (side[:, columns] for side in compared.values)
+    cut = prepared.recorded.outcome == UNFINISHED
+    for place, i in enumerate(columns):
+        if compared.metrics[i].key == "duration":
+            first[cut, place] = np.nan
+    typical = leave_one_out(prepared, counted)
+    own, others = (
+        np.column_stack(both) for both in ((first, typical[0]), (second[kept], typical[1]))
+    )
+    names = (*(compared.metrics[i].label for i in columns), "Realism")
+    return exact_ranks(own, others, np.asarray(counted.demo), compared.unit, names, rng)
 
 
 def exact_ranks(

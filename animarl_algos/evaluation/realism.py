@@ -9,6 +9,7 @@ Beside it stand the score of the recording itself (ceiling), of others, and of r
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -182,6 +183,34 @@ def realism(
         )
         rows.append(row | {key: float(np.nanmean(each)) for key, each in means.items()})
     return pd.DataFrame(rows)
+
+
+def leave_one_out(prepared: Prepared, rollouts: Rollouts) -> tuple[Floats, Floats]:
+    """Return how likely each episode is under all others of its start, recorded or simulated.
+
+    Mean log likelihoods ``(starts,)`` of recordings and ``(rollouts,)``. If a simulator is perfect
+    they can be exchanged. How episodes end does not count.
+    """
+    recorded = prepared.recorded
+    count, rows, kinds = len(recorded), [], []
+    start = np.concatenate([np.arange(count), rollouts.demo])
+    for one, two in zip(_components(prepared, recorded), _components(prepared, rollouts)):
+        values = np.concatenate([one.values, two.values])
+        episode = np.concatenate([one.episode, two.episode + count])
+        who = np.concatenate([one.individual, two.individual])
+        shape = (len(start), 1 + int(who.max(initial=0)), BINS)
+        place = np.ravel_multi_index((episode, who, _bin(values, _limits(values))), shape)
+        own = np.bincount(place, minlength=math.prod(shape)).reshape(shape)
+        total = np.zeros((count, *shape[1:]))
+        np.add.at(total, start, own)
+        rest = total[start] - own + PSEUDO_COUNT
+        log_p = np.log(rest / rest.sum(axis=-1, keepdims=True))
+        number = own.sum(axis=(1, 2))
+        rows.append((own * log_p).sum(axis=(1, 2)) / np.where(number > 0, number, np.nan))
+        kinds.append(one.kind)
+    scores = np.stack(rows)
+    typical = _weighted(scores, _weights(np.array(kinds), scores))
+    return typical[:count], typical[count:]
 
 
 def _weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:

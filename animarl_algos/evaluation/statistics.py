@@ -9,13 +9,18 @@ estimate (Zou and Donner 2008, Stat. Med. 27, 1693; Graybill and Wang 1980, J. A
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+
+from animarl_envs.files import read_regular
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -26,6 +31,9 @@ TAILS = (50.0 * (1 - CONFIDENCE), 50.0 * (1 + CONFIDENCE))  # [%]
 FEWEST_RESAMPLED = 8  # demonstrations; of fewer, resamples often have no spread to divide by
 FEWEST_ALONE = 50  # ... and up to these a margin is at least that of Student's t
 FARTHEST = 2.0  # times as far as the farthest demonstration, or Student's t, is the longest margin
+
+LONGEST_TABLE = 64 * 2**20  # [bytes]
+TEXT_COLUMNS = {"reason", "gate", "unit", "covers", "verdict"}
 
 NO_VALUE = "no episode counts"
 ONE_DEMO = "one demonstration: no spread to be seen"
@@ -62,6 +70,18 @@ def row_of(value: Interval, **columns: Any) -> dict[str, Any]:
     """
     ends = {"value": value.estimate, "low": value.low, "high": value.high}
     return columns | ends | {"reason": value.reason}
+
+
+def read_table(file: Path) -> pd.DataFrame:
+    """Read a table as it was written: a column of ``TEXT_COLUMNS`` may be empty throughout."""
+    try:
+        content = io.BytesIO(read_regular(file, LONGEST_TABLE))
+        table = pd.read_csv(content, float_precision="round_trip")
+    except pd.errors.EmptyDataError:
+        return pd.DataFrame()
+    for words in TEXT_COLUMNS & set(table):
+        table[words] = table[words].astype(object).fillna("")
+    return table
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ stands the realism score (:mod:`animarl_algos.evaluation.realism`).
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -20,13 +19,15 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import statistics
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE, classify_all, tracked_rollouts
+from animarl_algos.evaluation.classifier import AUC, classify_all, tracked_rollouts
+from animarl_algos.evaluation.headline import count_judgements, list_complaints, write_headline
 from animarl_algos.evaluation.laws import LAW, Law
-from animarl_algos.evaluation.metrics import measures
+from animarl_algos.evaluation.metrics import summary_table
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
+from animarl_algos.evaluation.ranks import rank_recordings
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
 from animarl_algos.evaluation.verdict_rows import (
     ALIKE,
     AS_BUILT,
@@ -34,7 +35,6 @@ from animarl_algos.evaluation.verdict_rows import (
     COLOURS,
     CONTROLS,
     DIFFERS,
-    JUDGEMENTS,
     LITTLE,
     STRANGERS,
     UNKNOWN,
@@ -42,24 +42,14 @@ from animarl_algos.evaluation.verdict_rows import (
     Questions,
     Row,
     classifier_row,
-    farness,
-    lower_first,
-    rounded_count,
     strangers,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import read_json, read_regular, write_then_rename
+from animarl_envs.files import read_json, write_then_rename
 from animarl_envs.fitting.tracking import Tracking
 
 MIN_TEST_RECORDINGS = 10  # below, runs are cross-validated where that makes them more
-MOST_COMPLAINTS = 3  # of one sentence
-SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
-NOTICED = ("mean_speed", "duration", "turning", "nearest_neighbour")  # changes beside the headline
-LONGEST_TABLE = 64 * 2**20  # [bytes]
-TEXT_COLUMNS = {"reason", "gate", "unit", "covers", "verdict"}
-HALF = 0.5  # of the recorded value: a larger gap is implausible
-LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -106,7 +96,7 @@ class Verdict:
     @property
     def counts(self) -> dict[str, int]:
         """How many questions have each word."""
-        return {word: int((self.table["judgement"] == word).sum()) for word in JUDGEMENTS}
+        return count_judgements(self.rows())
 
     @property
     def judgement(self) -> str:
@@ -122,66 +112,13 @@ class Verdict:
 
     @property
     def complaints(self) -> tuple[str, ...]:
-        """What differs, each thing once, farthest from alike first; classifiers come last.
-
-        Who left is in the table where somebody was outside the arena.
-        """
-        rows = sorted(self.rows(DIFFERS), key=farness, reverse=True)
-        rows.sort(key=lambda row: row.measure in (AUC, SEQUENCE))
-        if any(row.measure == "leaving" for row in rows):
-            rows = [row for row in rows if row.measure not in ("target_out", "pursuer_out")]
-        return tuple(dict.fromkeys(row.verdict for row in rows))
+        """What differs, farthest from alike first."""
+        return list_complaints(self.rows())
 
     @property
     def headline(self) -> str:
         """How many questions have which word, what differs, and how many recordings would tell."""
-        counts, total = self.counts, len(self.table)
-        parts = []
-        if counts[ALIKE]:
-            parts.append(_count_words(counts[ALIKE], "are alike", "is alike"))
-        if counts[LITTLE]:
-            parts.append(_count_words(counts[LITTLE], "differ a little", "differs a little"))
-        if counts[DIFFERS]:
-            first = self.complaints[:MOST_COMPLAINTS]
-            more = len(self.complaints) - len(first)
-            said = "; ".join(first) + (f"; and {more} more" if more else "")
-            parts.append(f"{_count_words(counts[DIFFERS], 'differ', 'differs')} ({said})")
-        if counts[UNKNOWN]:
-            said = _count_words(counts[UNKNOWN], "are not known", "is not known")
-            many = f"{self.recordings} recording{'s' * (self.recordings != 1)}"
-            said += f": {many} {'are' if self.recordings != 1 else 'is'} too few"
-            needed = sorted(row.needed for row in self.rows(UNKNOWN) if math.isfinite(row.needed))
-            if needed:
-                half, most = needed[(len(needed) - 1) // 2], needed[-1]
-                said += f"; about {rounded_count(half):,} would tell"
-                if rounded_count(most) > rounded_count(half):
-                    said += f" half of them, about {rounded_count(most):,} all"
-            parts.append(said)
-        return f"Of {total} question{'s' * (total != 1)} {', '.join(parts)}."
-
-    @property
-    def detectable(self) -> dict[str, tuple[float, str]]:
-        """The smallest changes that these recordings show, by label: part of the recorded mean."""
-        found = {}
-        for row in self.rows():
-            if row.measure in NOTICED and row.recorded and math.isfinite(row.detectable):
-                found[lower_first(row.label)] = (row.detectable / abs(row.recorded), row.unit)
-        return found
-
-    @property
-    def beside_law(self) -> str:
-        """In how many questions the simulator is nearer to the recordings than the law, or not."""
-        rows = [row for row in self.rows() if math.isfinite(row.law + row.simulated)]
-        better = [row for row in rows if abs(row.value) < abs(row.law - row.recorded)]
-        worse = [lower_first(row.label) for row in rows if row not in better]
-        if not rows:
-            return ""
-        said = (
-            f"Nearer to the recordings than a simple law in {len(better)} of {len(rows)} questions"
-        )
-        more = len(worse) - MOST_COMPLAINTS
-        listed = ", ".join(worse[:MOST_COMPLAINTS]) + (f" and {more} more" if more > 0 else "")
-        return said + (f"; not in {listed}." if worse else ".")
+        return write_headline(self.rows(), self.recordings)
 
     @property
     def auc(self) -> Interval:
@@ -201,10 +138,9 @@ class Verdict:
         total = self.components.iloc[-1]
         return {name: float(total[name]) for name in REFERENCES if name in total}
 
-    def rows(self, *words: str) -> list[Row]:
-        """Return the rows, or those with one of these words."""
-        rows = [Row(**{str(k): v for k, v in row.items()}) for row in self.table.to_dict("records")]
-        return [row for row in rows if not words or row.judgement in words]
+    def rows(self) -> list[Row]:
+        """Return the rows of the table."""
+        return [Row(**{str(k): v for k, v in row.items()}) for row in self.table.to_dict("records")]
 
     def row(self, measure: str) -> dict[str, Any]:
         """Return the row of one measure, by column."""
@@ -239,26 +175,10 @@ class Verdict:
         }
         file = folder / "realism.csv"
         return cls(
-            table=read_table(folder / "verdict.csv"),
-            components=read_table(file) if file.exists() else None,
+            table=statistics.read_table(folder / "verdict.csv"),
+            components=statistics.read_table(file) if file.exists() else None,
             **plain,
         )
-
-
-def _count_words(count: int, many: str, one: str) -> str:
-    return f"{count} {one if count == 1 else many}"
-
-
-def read_table(file: Path) -> pd.DataFrame:
-    """Read a table as it was written: a column of ``TEXT_COLUMNS`` may be empty throughout."""
-    try:
-        content = io.BytesIO(read_regular(file, LONGEST_TABLE))
-        table = pd.read_csv(content, float_precision="round_trip")
-    except pd.errors.EmptyDataError:
-        return pd.DataFrame()
-    for words in TEXT_COLUMNS & set(table):
-        table[words] = table[words].astype(object).fillna("")
-    return table
 
 
 def _plain(value: Any) -> Any:
@@ -281,7 +201,7 @@ def compare(
             "compare them with the demonstrations they started from"
         )
     prepared = Prepared(recorded, comparison_smoothing(recorded))
-    first, *streams = np.random.default_rng(seed).spawn(7)
+    first, *streams = np.random.default_rng(seed).spawn(8)
     return Comparison.of(prepared, prepared.counted(rollouts), first, questions), streams
 
 
@@ -356,7 +276,7 @@ def verdict(
         apart = statistics.single_cells((ours - other)[None]).by_unit(unit)
         worse = statistics.bootstrap_mean(apart, streams[5]).low > 0
     table = pd.DataFrame(rows)
-    starts, ranks = np.unique(counted.demo), compared.ranks
+    starts, ranks = np.unique(counted.demo), rank_recordings(compared, streams[6])
     return Verdict(
         table=table.drop(columns=[name for name in CONTROLS if table[name].isna().all()]),
         learner=rollouts.method,
@@ -368,45 +288,6 @@ def verdict(
         components=components,
         importance=answers[0][2].importance,
         worse_than_untrained=bool(worse),
-        ranks={} if ranks is None else dict(zip(ranks.measures, ranks.values.T.tolist())),
-        rank_p=math.nan if ranks is None else ranks.p,
+        ranks=dict(zip(ranks.measures, ranks.values.T.tolist())),
+        rank_p=ranks.p,
     )
-
-
-def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
-    """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
-    true, found = (measures(prepared, side) for side in (prepared.recorded, rollouts))
-    return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
-
-
-def implausible(verdict: Verdict) -> list[str]:
-    """What is off by more than half of what was recorded, and whether training made it worse.
-
-    Median speed, duration and the share of each ending, where they are not merely unknown, are
-    looked at. One sentence each; none where nothing is.
-    """
-    found = []
-    if verdict.worse_than_untrained:
-        found.append(
-            "An untrained network comes nearer to the recordings than the trained one: train "
-            "longer, on more episodes, or with another learner, before anything is concluded."
-        )
-    shares = ("reached", "target_out", "pursuer_out")
-    known = set(verdict.table["measure"])
-    for key in ("median_speed", "duration", *shares):
-        if key not in known:
-            continue
-        row = verdict.row(key)
-        recorded, simulated = float(row["recorded"]), float(row["simulated"])
-        least = max(HALF * abs(recorded), LEAST_SHARE if key in shares else 0.0)
-        if not abs(simulated - recorded) > least:
-            continue
-        if key in shares and row["judgement"] != DIFFERS:  # few are off by half by chance
-            continue
-        values = (
-            f"{100 * simulated:.0f} % simulated, {100 * recorded:.0f} % recorded"
-            if key in shares
-            else f"{simulated:.3g} {row['unit']} simulated, {recorded:.3g} {row['unit']} recorded"
-        )
-        found.append(f"{row['label']} is off by more than half: {values}.")
-    return found

@@ -52,7 +52,6 @@ from animarl_algos.evaluation.prepared import (
     has_ended,
     restricted_mean_scores,
 )
-from animarl_algos.evaluation.ranks import Ranks, exact_ranks
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -79,9 +78,7 @@ FINDINGS = (
 COLOURS = {ALIKE: "green", LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
 LITTLE_AUC = 0.60  # alike up to here: two normal curves 0.36 standard deviations apart
 POWER = 0.84  # standard errors beyond the margin, for a change to be found in 80 % of experiments
-RANKED = ("duration", "path_length", "mean_speed", "turning", "nearest_neighbour")
-"""Metrics by which recordings are ranked among the rollouts from their start."""
-STRANGERS, BLIND = "strangers", "blind"  # of a group alone
+STRANGERS, BLIND = "strangers", "blind"
 CONTROLS = (LAW, "random", STRANGERS, BLIND)
 """Columns of means of others in place of the simulator."""
 
@@ -98,8 +95,8 @@ class Row:
     ``detectable`` the smallest difference that these recordings show in 80 % of experiments.
     ``covers`` says what the interval speaks of, ``reason`` why there is none. ``primary`` rows have
     a level of their own. The others are means of :data:`CONTROLS`: of a simple ``law`` that was
-    fitted to recordings, of ``random`` actions and, of a group, of ``strangers``, recorded animals
-    of different recordings, and of ``blind`` rollouts in which none sees its own neighbours.
+    fitted to recordings, of ``random`` actions, of ``strangers``, recorded animals of different
+    episodes, and of a group's ``blind`` rollouts in which none sees its own neighbours.
     """
 
     measure: str
@@ -256,7 +253,8 @@ class Comparison:
     """All metrics of both sides, with their differences.
 
     ``counted`` are the rollouts that count, smoothed as the recordings; ``unit`` ``(starts,)`` is
-    the recording of each start. ``of_conditions``: they are recordings of another condition.
+    the recording of each start. ``values`` are those of both sides, ``(episodes, measures)`` each.
+    ``of_conditions``: the others are recordings of another condition.
     """
 
     prepared: Prepared
@@ -266,8 +264,8 @@ class Comparison:
     found: Differences
     tolerances: Floats
     primary: tuple[str, ...]
+    values: tuple[Floats, Floats]
     of_conditions: bool = False
-    ranks: Ranks | None = None
 
     @classmethod
     def of(
@@ -282,12 +280,8 @@ class Comparison:
         primary = questions.keys(questions.primary, metrics)
         sides = _sides(prepared.demos, metrics, primary, np.asarray(counted.demo)[~counted.copies])
         found = simultaneous_differences(first, second[~counted.copies], sides, rng)
-        allowed = questions.allowed(metrics, found)
-        columns = [i for i, metric in enumerate(metrics) if metric.key in RANKED]
-        names = tuple(metrics[i].label for i in columns)
-        own, other = first[:, columns], second[~counted.copies][:, columns]
-        ranks = exact_ranks(own, other, sides.demo, sides.unit, names, rng.spawn(1)[0])
-        return cls(prepared, counted, sides.unit, metrics, found, allowed, primary, ranks=ranks)
+        allowed, both = questions.allowed(metrics, found), (first, second)
+        return cls(prepared, counted, sides.unit, metrics, found, allowed, primary, both)
 
     @classmethod
     def between(
@@ -300,16 +294,14 @@ class Comparison:
         """Measure recordings of two conditions, both as the first, and take their differences."""
         prepared = Prepared(first, comparison_smoothing(first))
         other = prepared.filtered(Rollouts.from_demonstrations(second))
-        metrics, *values = _columns(prepared, other)
+        metrics, one, two = _columns(prepared, other)
         primary = questions.keys(questions.primary, metrics)
         sides = [
             _sides(demos, metrics, primary, np.arange(len(demos))) for demos in (first, second)
         ]
-        found = group_differences(values[0], values[1], (sides[0], sides[1]), rng)
-        allowed = questions.allowed(metrics, found)
-        return cls(
-            prepared, other, sides[0].unit, metrics, found, allowed, primary, of_conditions=True
-        )
+        found = group_differences(one, two, (sides[0], sides[1]), rng)
+        allowed, unit = questions.allowed(metrics, found), sides[0].unit
+        return cls(prepared, other, unit, metrics, found, allowed, primary, (one, two), True)
 
     def rows(self, controls: Mapping[str, Rollouts] | None = None) -> Iterator[Row]:
         """Yield a row for each metric of its own, then one for each kind of the others.
@@ -356,9 +348,11 @@ class Comparison:
         error = POWER * float(found.error[place])
         more: dict[str, float] = {}
         for name, side in controls.items():
-            ends = metric.is_ending or metric is DURATION  # which a law takes from the recordings
+            ends = metric.is_ending or metric is DURATION  # which these take from the recordings
             values = side.get(metric.key, np.zeros(0))
-            if len(values := values[np.isfinite(values)]) and not (ends and name == LAW):
+            if len(values := values[np.isfinite(values)]) and not (
+                ends and name in (LAW, STRANGERS)
+            ):
                 more[name] = float(values.mean())
         seeds = "training runs like these" if len(np.unique(self.counted.seed)) > 1 else ""
         return Row(
@@ -487,13 +481,13 @@ def farness(row: Row) -> tuple[int, bool, float]:
 
 
 def strangers(prepared: Prepared) -> Rollouts | None:
-    """Return groups put together of animals that never met; None where there are no groups.
+    """Return episodes put together of animals that never met; None of one animal alone.
 
     Each goes where it went, in another episode than its neighbours: what animals of the same
     motion and places come to that do not see each other.
     """
     recorded, count = prepared.recorded, len(prepared.recorded)
-    if not recorded.is_group or count < 2:
+    if recorded.num_individuals < 2 or count < 2:
         return None
     paths = []
     for i in range(count):

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -185,7 +186,9 @@ def rank_histograms(ranks: Mapping[str, Sequence[float]]) -> Figure:
     edges = np.linspace(0.0, 1.0, RANK_BINS + 1)
     with one_panel(3.4, 2.1, "", xlabel="Rank among the rollouts", ylabel="Share") as drawn:
         figure, panel = drawn
-        for (name, values), colour, dashes in zip(ranks.items(), style.PURSUERS, style.DASHES):
+        for (name, values), colour, dashes in zip(
+            ranks.items(), style.PURSUERS, cycle(style.DASHES)
+        ):
             known = np.asarray(values)[np.isfinite(values)]
             shares = np.histogram(known, edges)[0] / max(len(known), 1)
             panel.stairs(shares, edges, label=name, color=colour.hex, linestyle=dashes)

@@ -12,7 +12,7 @@ from animarl_algos.report.page import Block, Pairs, Text
 from animarl_algos.report.words import Words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.species import Species
+from animarl_envs.species import CUSTOM, Species
 
 Entries = Sequence[tuple[str, str]]
 NOT_SET = "not set"
@@ -51,6 +51,12 @@ class PageInputs:
     def words(self) -> Words:
         """What the demonstrations and the unit of lengths are called."""
         return Words.of(self.demos)
+
+    @property
+    def animals(self) -> str:
+        """Return the species, or of a set of one's own the names of the animals."""
+        names = ", ".join(self.demos.kinds)
+        return names if self.demos.species == CUSTOM else self.demos.species
 
     @property
     def recorded(self) -> str:
@@ -127,10 +133,11 @@ def provenance(
         yield Text(f"To repeat this {page}:")
         yield Text(inputs.command, "command")
     stated, *more = origin(demos)
+    recordings = inputs.words.adapt("Recordings")
     times = [(f"wall time, {stage}", duration(s)) for stage, s in inputs.wall_time.items()]
     for title, entries in {
         "World": [*inputs.world.items(), *flattened(inputs.environment)],
-        "Demonstrations": [
+        recordings: [
             stated,
             ("fingerprint of the evaluated set", demos.fingerprint()),
             ("evaluated episodes", str(demos.num_episodes)),
@@ -156,10 +163,11 @@ def to_paste(inputs: PageInputs, methods: Sequence[str]) -> Iterator[Block]:
     demos, version = inputs.demos, inputs.versions.get("animarl")
     commit = inputs.machine.get("commit", "")
     made_by = f" (commit {commit[:12]})" if commit and " " not in commit.strip() else ""
+    named = "" if demos.species == CUSTOM else f"{demos.species}; "
     begin = (
         f"Simulations were made with AnimaRL{f' {version}' if version else ''}{made_by} "
         f"from {'synthetic' if demos.synthetic else 'recorded'} episodes of "
-        f"{', '.join(demos.individuals)} ({demos.species}; time step {demos.dt:g} s; licence "
+        f"{', '.join(demos.individuals)} ({named}time step {demos.dt:g} s; licence "
         f"of the data: {licence(demos)})."
     )
     software = [

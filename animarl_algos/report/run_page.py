@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation.comparison import COUNTING
+from animarl_algos.evaluation.headline import list_implausible
 from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
 from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import CELLS, Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Floats, Interval
-from animarl_algos.evaluation.verdict import implausible
 from animarl_algos.report import figures
 from animarl_algos.report.figures import path_panels
 from animarl_algos.report.inputs import ReportInputs, provenance
@@ -31,7 +31,8 @@ def run_page(inputs: ReportInputs) -> Page:
     """Return the page: the verdict and the player, then every section that has blocks."""
     demos, evaluation = inputs.demos, inputs.evaluation
     found = evaluation.verdict
-    said = [*map(inputs.words.adapt, implausible(found)), *inputs.warnings]
+    off = list_implausible(found.rows(), found.worse_than_untrained)
+    said = [*map(inputs.words.adapt, off), *inputs.warnings]
     said += cautions(evaluation.comparison, inputs.learner, demos.synthetic)
     episodes = [(f"{split} episodes", str(count)) for split, count in inputs.episodes.items()]
     statistics = [
@@ -41,10 +42,11 @@ def run_page(inputs: ReportInputs) -> Page:
     ]
     crossed = f", cross-validated in {inputs.folds} folds" if inputs.folds else ""
     facts = [
-        ("Species", demos.species),
-        ("Evaluated on", f"{demos.num_episodes} demonstrations{crossed}"),
+        ("Animals", inputs.animals),
+        ("Evaluated on", inputs.words.adapt(f"{demos.num_episodes} recordings{crossed}")),
         ("Method", method_label(inputs.learner)),
         ("Training seeds", ", ".join(map(str, inputs.seeds)) or NOTHING),
+        ("Processor", inputs.machine.get("processor", NOTHING)),
     ]
     return Page(
         title=inputs.title,
@@ -101,17 +103,19 @@ def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
                 f"start {demo}: {distance}{ending}",
                 below=True,
             )
-            what = words.adapt(f"Simulated and recorded paths of test demonstration {demo}")
+            what = words.adapt(f"Simulated and recorded paths of test recording {demo}")
             images.append(to_image(figure, f"{what}, {distance} {words.unit_of(DTW)}"))
         where = f" Condition: {condition}." if condition else ""
         yield Gallery(
             images,
-            f"{method_label(inputs.learner)} above the demonstration that each rollout started "
-            f"from.{where} Chosen by rank, not by eye: from left to right the rollouts nearest to "
-            "the 10th, 30th, 50th, 70th and 90th percentile of the DTW distance to the "
-            f"demonstration ({words.unit_of(DTW)}), no two from one start, so the first are among "
-            "the best and the last among the worst. Open marks are starts, filled ones "
-            f"ends{source}.",
+            words.adapt(
+                f"{method_label(inputs.learner)} above the recording that each rollout started "
+                f"from.{where} Chosen by rank, not by eye: from left to right the rollouts nearest "
+                "to the 10th, 30th, 50th, 70th and 90th percentile of the DTW distance to the "
+                f"recording ({words.unit_of(DTW)}), no two from one start, so the first are among "
+                "the best and the last among the worst. Open marks are starts, filled ones "
+                f"ends{source}."
+            ),
             strip=True,
         )
 
@@ -175,7 +179,7 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
         adapt(
             "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
             "interval; the dashed line is the recorded mean. Intervals add the margin of "
-            f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that "
+            f"recordings (studentised bootstrap, {evaluation.resamples:,} resamples) and that "
             "of training seeds (Student's t); repetitions from one start are never counted as "
             "independent."
             + " Captures are episodes in which the target was reached."

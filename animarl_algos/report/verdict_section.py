@@ -12,9 +12,10 @@ from rich.text import Text
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
 from animarl_algos.evaluation.conditions import ComparedConditions
+from animarl_algos.evaluation.headline import compare_with_law, detectable_changes
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.prepared import WINDOW
-from animarl_algos.evaluation.realism import REFERENCES
+from animarl_algos.evaluation.realism import CEILING, REFERENCES
 from animarl_algos.evaluation.statistics import Interval, interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import (
@@ -38,6 +39,7 @@ MARKS = {ALIKE: "\u2248", LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
 """Signs of the words, for readers who do not see colours."""
 SHARE = "share"  # the unit of what is windows in percent
 FARTHEST = 3  # rows on the terminal
+CALLED = {CEILING: "the recording itself"}
 BESIDE = {
     "among": "recordings among themselves",
     "floor": "closed-loop tracking of the recordings (perfect control in this locomotion)",
@@ -86,20 +88,21 @@ def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
 
 def _evidence(verdict: Verdict) -> list[str]:
     """Return sentences on the classifier, on what would have been seen, and on realism."""
-    found = []
+    rows, found = verdict.rows(), []
     if math.isfinite(verdict.auc.estimate):
         wrong = 100 * (1 - verdict.auc.estimate)
         found.append(
             f"A classifier takes the simulated piece for the recorded one in {wrong:.0f} of 100 "
             "pairs (50: chance)."
         )
-    if verdict.detectable:
-        changes = [f"{name} {100 * part:.0f} %" for name, (part, _) in verdict.detectable.items()]
+    if found_changes := detectable_changes(rows):
+        changes = [f"{name} {100 * part:.0f} %" for name, part in found_changes.items()]
         found.append(f"Smallest changes that so many recordings show: {', '.join(changes)}.")
-    if verdict.beside_law:
-        found.append(verdict.beside_law)
+    if said := compare_with_law(rows):
+        found.append(said)
     if math.isfinite(verdict.realism.estimate):
-        beside = ", ".join(f"{name} {number(v)}" for name, v in verdict.realism_beside.items())
+        scores = {CALLED.get(name, name): v for name, v in verdict.realism_beside.items()}
+        beside = ", ".join(f"{name} {number(score)}" for name, score in scores.items())
         said = f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
         found.append(f"{said}.")
     return found
@@ -143,7 +146,9 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         "Score\n[95 %]": lambda row: with_interval(interval(row)),
     }
     for one in REFERENCES:
-        columns[words.adapt(one).capitalize()] = lambda row, one=one: number(row.get(one, math.nan))
+        columns[words.adapt(CALLED.get(one, one)).capitalize()] = lambda row, one=one: number(
+            row.get(one, math.nan)
+        )
     whole = scores["component"].fillna("") == ""
     yield tabulate(
         "Realism",
@@ -151,8 +156,8 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         [("", scores[whole][::-1])],
         words.adapt(
             "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
-            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
-            "recording itself in place of its rollouts, other recordings, and random actions."
+            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it, in place "
+            "of the rollouts: the recording itself, other recordings, and random actions."
         ),
         strong=lambda row: row["kind"] == "total",
     )
@@ -248,10 +253,10 @@ def _caption(verdict: Verdict) -> str:
     )
     if "law" in verdict.table:
         said += " Law: persistent random walkers that turn towards their focus, fitted to"
-        said += f" recordings. {verdict.beside_law}"
+        said += f" recordings. {compare_with_law(verdict.rows())}"
     if "strangers" in verdict.table:
-        said += " Strangers: recorded animals of different episodes put together, a group without"
-        said += " reactions."
+        said += " Strangers: recorded animals of different episodes put together, without reactions"
+        said += " to each other."
     if "blind" in verdict.table:
         said += " Blind: the same clone, where each animal is shown another one's neighbours."
     for key, name in ((AUC, "the first classifier"), (SEQUENCE, "that of order")):

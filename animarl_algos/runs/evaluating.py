@@ -19,7 +19,7 @@ from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, wr
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.checkpoint import summarise_error
-from animarl_algos.learner.pretraining import few_or_count
+from animarl_algos.learner.pretraining import few_or_count, shown_progress
 from animarl_algos.losses.terms import Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
@@ -83,16 +83,13 @@ def _rolled_out(
         policies[UNTRAINED] = untrained, cue
         policies[RANDOM] = RandomPolicy(settings.seed, untrained.policy.num_actions), None
     names = [one.name for one in observation_components(run.species)]
-    return {
-        name: run.roll_out(
-            policy,
-            name,
-            cue,
-            scenario=scenario,
-            wrap=partial(Blindfolded, names=names) if name == BLIND else lambda policy: policy,
-        )
-        for name, (policy, cue) in policies.items()
-    }
+    found = {}
+    with shown_progress("rollouts", "method", len(policies)) as bar:
+        for name, (policy, cue) in policies.items():
+            wrap = partial(Blindfolded, names=names) if name == BLIND else lambda policy: policy
+            found[name] = run.roll_out(policy, name, cue, scenario=scenario, wrap=wrap)
+            bar.update()
+    return found
 
 
 def missing_baselines(run: Run) -> list[str]:

@@ -24,6 +24,7 @@ from animarl_algos.learner.checkpoint import (
     steps_done,
 )
 from animarl_algos.learner.presets import constructed
+from animarl_algos.learner.pretraining import shown_progress
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
@@ -169,10 +170,12 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
 
 def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
     """Train the learners of a run anew for every fold, without its test recordings."""
-    with run.lock():
+    begun = shown_progress("cross-validation", "fold", folds, disable=not progress_bar)
+    with run.lock(), begun as bar:
         for number, fold in enumerate(run_set.begin_folds(run, folds), 1):
             with run.timed(f"fold {number} of {folds}"):
                 learn_all(fold, progress_bar=progress_bar)
+            bar.update()
 
 
 def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:

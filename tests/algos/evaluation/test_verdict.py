@@ -19,6 +19,7 @@ from scipy.stats import CensoredData, ecdf
 from animarl_algos.evaluation.classifier import interval_over_recordings
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.differences import Differences, Sides, simultaneous_differences
+from animarl_algos.evaluation.headline import list_implausible
 from animarl_algos.evaluation.metrics import (
     KINEMATIC,
     METRICS,
@@ -34,7 +35,7 @@ from animarl_algos.evaluation.prepared import (
 )
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.verdict import Verdict, compare, implausible, verdict
+from animarl_algos.evaluation.verdict import Verdict, compare, verdict
 from animarl_algos.evaluation.verdict_rows import (
     ALIKE,
     DIFFERS,
@@ -308,6 +309,10 @@ def test_starts_that_were_rolled_out_more_often_weigh_no_more() -> None:
         once, often = (each[name] for each in rows)
         assert often.simulated == pytest.approx(once.simulated)
         assert often.value == pytest.approx(often.simulated - often.recorded)
+
+
+def implausible(found: Verdict) -> list[str]:
+    return list_implausible(found.rows(), found.worse_than_untrained)
 
 
 @pytest.mark.slow
