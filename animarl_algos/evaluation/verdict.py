@@ -162,17 +162,10 @@ class Verdict:
     def load(cls, folder: str | Path) -> Verdict:
         """Read what :meth:`save` wrote."""
         folder = Path(folder)
-        plain = read_json(folder / "verdict.json")
+        plain = _with_nan(read_json(folder / "verdict.json"))
         for some in plain["areas"].values():
-            for name, ends in some.items():
-                value, low, high = (math.nan if end is None else end for end in ends)
-                some[name] = Interval(value, low, high)
+            some |= {name: Interval(*ends) for name, ends in some.items()}
         plain = {key: plain[key] for key in plain if key not in ("headline", "colour", "counts")}
-        plain["rank_p"] = math.nan if plain["rank_p"] is None else plain["rank_p"]
-        plain["ranks"] = {
-            name: [math.nan if one is None else one for one in ranks]
-            for name, ranks in plain["ranks"].items()
-        }
         file = folder / "realism.csv"
         return cls(
             table=statistics.read_table(folder / "verdict.csv"),
@@ -189,6 +182,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _with_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _with_nan(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_with_nan(one) for one in value]
+    return math.nan if value is None else value
 
 
 def compare(
