@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.verdict_rows import (
@@ -22,8 +22,7 @@ MOST_COMPLAINTS = 3  # of one sentence
 NOTICED = ("mean_speed", "duration", "turning", "nearest_neighbour")  # changes beside the headline
 HALF = 0.5  # of the recorded value: a larger gap is implausible
 LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
-SHARES = ("reached", "target_out", "pursuer_out")
-ENDS = ("target_out", "pursuer_out")
+SHARES = ("reached", "target_out", "pursuer_out")  # the last two: by leaving
 
 
 def count_judgements(rows: Iterable[Row]) -> dict[str, int]:
@@ -40,7 +39,7 @@ def list_complaints(rows: Iterable[Row]) -> tuple[str, ...]:
     wrong = [row for row in rows if row.judgement == DIFFERS]
     wrong.sort(key=lambda row: (row.measure not in (AUC, SEQUENCE), farness(row)), reverse=True)
     if any(row.measure == "leaving" for row in wrong):
-        wrong = [row for row in wrong if row.measure not in ENDS]
+        wrong = [row for row in wrong if row.measure not in SHARES[1:]]
     return tuple(dict.fromkeys(row.verdict for row in wrong))
 
 
@@ -102,7 +101,7 @@ def list_implausible(rows: Iterable[Row], worse_than_untrained: bool) -> list[st
             "An untrained network comes nearer to the recordings than the trained one: train "
             "longer, on more episodes, or with another learner, before anything is concluded."
         )
-    by_measure: Mapping[str, Row] = {row.measure: row for row in rows}
+    by_measure = {row.measure: row for row in rows}
     for key in ("median_speed", "duration", *SHARES):
         if (row := by_measure.get(key)) is None:
             continue

@@ -14,7 +14,6 @@ from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
 from animarl_algos.evaluation.conditions import ComparedConditions
 from animarl_algos.evaluation.headline import compare_with_law, detectable_changes
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
-from animarl_algos.evaluation.prepared import WINDOW
 from animarl_algos.evaluation.realism import CEILING, REFERENCES
 from animarl_algos.evaluation.statistics import Interval, interval
 from animarl_algos.evaluation.verdict import Verdict
@@ -58,7 +57,7 @@ def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -
         verdict.judgement,
         verdict.colour,
         MARKS[verdict.judgement],
-        words.adapt(f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"),
+        words.adapt(_headline(verdict)),
         [words.adapt(sentence) for sentence in _evidence(verdict)],
         cautions,
     )
@@ -66,8 +65,7 @@ def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -
 
 def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
     """Return the verdict in a few sentences."""
-    said = f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"
-    return words.adapt(" ".join([said, *_evidence(verdict)]))
+    return words.adapt(" ".join([_headline(verdict), *_evidence(verdict)]))
 
 
 def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
@@ -75,7 +73,7 @@ def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
 
     Each of these rows has both values and the unit.
     """
-    lines = [f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"]
+    lines = [_headline(verdict)]
     rows = [row for row in verdict.rows() if row.measure not in (AUC, SEQUENCE)]
     rows = [row for row in rows if row.judgement != ALIKE and math.isfinite(row.value)]
     for row in sorted(rows, key=farness, reverse=True)[:FARTHEST]:
@@ -84,6 +82,10 @@ def verdict_lines(verdict: Verdict, words: Words = DEMONSTRATED) -> list[str]:
         values = f"{lower_first(row.label)} {one} for {other} {unit}".rstrip()
         lines.append(f"  {MARKS[row.judgement]} {values} ({row.judgement})")
     return [words.adapt(line) for line in [*lines, *_evidence(verdict)[:1]]]
+
+
+def _headline(verdict: Verdict) -> str:
+    return f"{method_label(verdict.learner)}: {lower_first(verdict.headline)}"
 
 
 def _evidence(verdict: Verdict) -> list[str]:
@@ -267,11 +269,6 @@ def _caption(verdict: Verdict) -> str:
             if one in areas and math.isfinite(areas[one].estimate)
         ]
         said += f" The area of {name} is {' and '.join(parts)}." if parts else ""
-    falls = sorted(verdict.importance.items(), key=lambda item: -item[1])
-    if falls:
-        shares = [f"{number(fall, 2)} ({kind})" for kind, fall in falls]
-        said += f" Shuffling one kind of feature lowers the area on {WINDOW:g} s by "
-        said += f"{', '.join(shares)}."
     if verdict.smoothing > 1:
         said += (
             " All positions, simulated ones too, went through a moving average of "

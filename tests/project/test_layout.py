@@ -76,7 +76,7 @@ BUDGETS = {
     "animarl_algos.networks": 12_450,
     "animarl_algos.recipes": 820,
     "animarl_algos.replay": 5_850,
-    "animarl_algos.report": 13_700,
+    "animarl_algos.report": 13_800,
     "animarl_algos.runs": 15_200,
     "animarl_algos.whatif": 17_000,
     "animarl_algos.zoo": 3_030,
