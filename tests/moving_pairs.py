@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 from recordings import episodes_along
 
+from animarl_algos.evaluation.headline import list_implausible
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.verdict import Verdict
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TIME_OUT
@@ -66,3 +68,7 @@ def simulated_pairs(demos: Demonstrations, kind: str, each: int = 2, seed: int =
     ends = [PURSUER_OUT if o else 1 if len(p) < 50 else TIME_OUT for o, p in zip(out, paths)]
     repetition = np.tile(np.arange(each), demos.num_episodes)
     return rollouts_along(paths, demos, demo, method=kind, outcome=ends, repetition=repetition)
+
+
+def implausible(found: Verdict) -> list[str]:
+    return list_implausible(found.rows(), found.worse_than_untrained)

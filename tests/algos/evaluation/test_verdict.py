@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from moving_pairs import recorded_pairs, rollouts_along, simulated_pairs
+from moving_pairs import implausible, recorded_pairs, rollouts_along, simulated_pairs
 from refusals import refuses
 from scipy import stats
 from scipy.stats import CensoredData, ecdf
@@ -19,7 +19,6 @@ from scipy.stats import CensoredData, ecdf
 from animarl_algos.evaluation.classifier import interval_over_recordings
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.differences import Differences, Sides, simultaneous_differences
-from animarl_algos.evaluation.headline import list_implausible
 from animarl_algos.evaluation.metrics import (
     KINEMATIC,
     METRICS,
@@ -309,10 +308,6 @@ def test_starts_that_were_rolled_out_more_often_weigh_no_more() -> None:
         once, often = (each[name] for each in rows)
         assert often.simulated == pytest.approx(once.simulated)
         assert often.value == pytest.approx(often.simulated - often.recorded)
-
-
-def implausible(found: Verdict) -> list[str]:
-    return list_implausible(found.rows(), found.worse_than_untrained)
 
 
 @pytest.mark.slow

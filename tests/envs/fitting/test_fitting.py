@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from moving_pairs import recorded_pairs, simulated_pairs
+from moving_pairs import implausible, recorded_pairs, simulated_pairs
 from numpy.typing import NDArray
 from recordings import episodes_along
 from refusals import refuses
 from thrust_walks import DT, ROLES, walk
 
-from animarl_algos.evaluation.headline import list_implausible
-from animarl_algos.evaluation.verdict import Verdict, verdict
+from animarl_algos.evaluation.verdict import verdict
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.joint import bootstrap_joint, fit_joint
@@ -118,10 +117,6 @@ def test_onset_fit_without_an_onset_says_so_and_a_single_episode_has_no_interval
     assert fit.validated_on == "all"
     assert all(one.damping_interval is None for one in fit.individuals)
     refuses("holds no episode", fit_locomotion, demos)
-
-
-def implausible(found: Verdict) -> list[str]:
-    return list_implausible(found.rows(), found.worse_than_untrained)
 
 
 @pytest.mark.parametrize("thrusts", (1, 3))
