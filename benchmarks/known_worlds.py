@@ -108,9 +108,9 @@ class KnownWorld:
             past = [*past[1:], (position, heading, speed)]
             moved = np.where(speed < 0.03, 0.0, speed)
             course = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            position = position + DT * moved[..., None] * course
+            before, position = position, position + DT * moved[..., None] * course
             if self.arena is DISH:  # who meets the wall goes along it
-                position, met = _held(position, self.field)
+                position, met = _held(before, position, self.field)
                 out = np.arctan2(position[..., 1], position[..., 0])
                 along = out + np.where(np.sin(heading - out) < 0, -0.5, 0.5) * np.pi
                 heading = np.where(met, along, heading)
@@ -172,7 +172,7 @@ class KnownWorld:
         paths = made.positions.reshape(len(made), LIMIT + 1, self.animals, 2)
         held = [paths[:, 0]]
         for step in np.diff(paths, axis=1).swapaxes(0, 1):
-            held.append(_held(held[-1] + step, self.field)[0])
+            held.append(_held(held[-1], held[-1] + step, self.field)[0])
         return replace(made, positions=np.stack(held, axis=1).reshape(made.positions.shape))
 
 
@@ -195,11 +195,12 @@ def _turned(angle: Floats) -> Floats:
     return np.asarray(np.angle(np.exp(1j * angle)))
 
 
-def _held(position: Floats, field: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return positions within the dish, and which met its wall."""
+def _held(before: Floats, position: Floats, field: float) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return positions within the field, or no farther out than before, and which met its edge."""
+    most = np.maximum(np.linalg.norm(before, axis=-1), field)
     radius = np.linalg.norm(position, axis=-1)
-    inside = position * np.minimum(1.0, field / np.maximum(radius, 1e-12))[..., None]
-    return inside, radius > field
+    inside = position * np.minimum(1.0, most / np.maximum(radius, 1e-12))[..., None]
+    return inside, radius > most
 
 
 def _shoaling(

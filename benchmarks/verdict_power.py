@@ -116,7 +116,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=60, help="of perfect simulators")
     parser.add_argument("--judged", type=int, default=10, help="of these with classifiers")
     parser.add_argument("--fault-runs", type=int, default=12)
-    parser.add_argument("--starts", type=int, nargs="+", default=[10, 20, 50])
+    parser.add_argument("--starts", type=int, nargs="*", default=[10, 20, 50])
     parser.add_argument(
         "--many",
         type=int,
