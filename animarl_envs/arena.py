@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_options
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Positive, PositiveOrInfinite, check_fields
 
 ArenaShape = Literal["square", "disc", "open"]
 SHAPE_CODES: dict[str, int] = {"square": 0, "disc": 1, "open": 2}
@@ -36,12 +36,12 @@ class Arena:
     """
 
     shape: ArenaShape = "square"
-    size: float = 1.0  # [arena unit]
-    boundary: Annotated[float, "positive"] = 1.1  # [arena unit]
+    size: Positive = 1.0  # [arena unit]
+    boundary: PositiveOrInfinite = 1.1  # [arena unit]
     rebound: bool = False
 
     def __post_init__(self) -> None:
-        check_options(self, "arena ")
+        check_fields(self, "arena ")
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
             object.__setattr__(self, "rebound", False)

@@ -17,13 +17,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_options, is_number, is_whole
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Positive, Probability, check_fields, is_number, is_whole
 
 NUM_DIRECTIONS = 12
 NUM_ACTIONS = NUM_DIRECTIONS + 1
@@ -90,12 +90,12 @@ class Locomotion:
         Multiples of ``u`` that the individual chooses among, positive, the largest first.
     """
 
-    damping: Annotated[float, "from 0 to 1"]
-    thrust: float
+    damping: Probability
+    thrust: Positive
     magnitudes: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields(self)
         object.__setattr__(self, "magnitudes", _checked_magnitudes(self.magnitudes))
 
     @property

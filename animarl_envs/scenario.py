@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import ZeroOrMore, ZeroOrPositive, check_options, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import is_free, lone_pursuer
+from animarl_envs.settings import CountOrZero, NotNegative, check_fields, is_whole
 from animarl_envs.species import (
     CUSTOM,
     SPECIES,
@@ -68,8 +68,8 @@ class Scenario:
     condition: Condition = "demo"
     start: str | NDArray[np.float64] = "demo"
     drivers: tuple[str, ...]
-    observation_noise: ZeroOrPositive = 0.0
-    observation_delay: ZeroOrMore = 0
+    observation_noise: NotNegative = 0.0
+    observation_delay: CountOrZero = 0
     split: str | None = None
     all_splits: Demonstrations | None = None
 
@@ -79,7 +79,7 @@ class Scenario:
             raise InputError(f"condition is {self.condition!r}: choose 0, 1 or 'demo'")
         plainly = self.condition if self.condition == "demo" else int(self.condition)
         object.__setattr__(self, "condition", plainly)  # of NumPy's kinds or of Python's
-        check_options(self)
+        check_fields(self)
         if self.condition == 1 and not self.species.conditions:
             raise InputError(
                 f"condition 1 is not defined for {self.species.name}, which has no conditions: "

@@ -9,11 +9,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.checked import prose
 from animarl_algos.learner.presets import COMMON_SECTION
-from animarl_algos.learner.settings import OfflineSettings, default_settings, settings_prose
+from animarl_algos.learner.settings import LearnerSettings, OfflineSettings, default_settings
 from animarl_algos.recipes.registry import RECIPES
 from animarl_envs import SPECIES, environment_id
+from animarl_envs.settings import describe_fields
 
 PAGE = Path(__file__).with_name("learners.md")
 BEGIN, END = "<!-- defaults: docs/make_defaults_table.py -->\n", "<!-- end of defaults -->\n"
@@ -31,6 +31,7 @@ def defaults(algo: str, species: str | None) -> dict[str, Any]:
 
 def shown(value: Any) -> str:
     """A value as Python writes it, a rate in short."""
+    value = list(value) if isinstance(value, tuple) else value
     return f"`{value:g}`" if isinstance(value, float) and value < 1e-3 else f"`{value!r}`"
 
 
@@ -58,7 +59,7 @@ def exceptions(name: str, every: dict[tuple[str, str | None], dict[str, Any]]) -
 def table() -> str:
     """The rows, in Markdown."""
     every = {(a, s): defaults(a, s) for a in ALGOS for s in (None, *SPECIES)}
-    meanings = settings_prose()
+    meanings = describe_fields(LearnerSettings)
     rows = (
         f"| `{name}` | {shown(every['dqn', None][name])} | {exceptions(name, every)} "
         f"| {in_markdown(meanings[name])} |"
@@ -70,10 +71,10 @@ def table() -> str:
 
 def offline_table() -> str:
     """The rows for ``offline_kwargs``, in Markdown."""
-    described = OfflineSettings.model_json_schema()["properties"].items()
+    defaults = vars(OfflineSettings())
     rows = (
-        f"| `{name}` | {shown(one['default'])} | {in_markdown(prose(one))} |"
-        for name, one in described
+        f"| `{name}` | {shown(defaults[name])} | {in_markdown(meaning)} |"
+        for name, meaning in describe_fields(OfflineSettings).items()
     )
     return "\n".join(["| setting | default | meaning |", "|---|---|---|", *rows]) + "\n"
 

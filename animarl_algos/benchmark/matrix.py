@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
 
 from animarl_algos.benchmark.pieces import Cell, FittedWorld, Piece, Scoring
-from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES, named_recipe
@@ -32,6 +30,7 @@ from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 from animarl_envs.files import is_part, read_yaml
 from animarl_envs.importing.readers import read
+from animarl_envs.settings import Checked, Count, CountOrZero
 from animarl_envs.species import CUSTOM, SPECIES
 
 FOLDER = resources.files("zoo_configs") / "benchmark"
@@ -48,20 +47,20 @@ REFERENCES = (
 AROUND = ("acting", "fit_method", "thrusts")
 WORLD_ALGO = "bc"  # any: the world of those who learned nothing is that of its preset
 WORLD_COPIES = 16  # side by side, of the environment that others' methods train in
-Names = Annotated[tuple[str, ...], Field(strict=False)]
-Count = Annotated[int, Field(ge=1)]
+Names = tuple[str, ...]
 
 
+@dataclass(frozen=True, kw_only=True)
 class Matrix(Checked):
     """Species times methods times seeds, and how each is trained and rolled out."""
 
     species: Names = ()
     """Names of packaged species."""
-    files: dict[str, str] = Field(default_factory=dict)
+    files: dict[str, str] = field(default_factory=dict)
     """Further demonstrations: path by name of the row; no name of a packaged species."""
     recipes: Names = ()
     """The learners."""
-    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = (0,)
+    seeds: tuple[CountOrZero, ...] = (0,)
     """Of each learner."""
     references: Names = REFERENCES
     """The rows beside them."""
@@ -75,11 +74,11 @@ class Matrix(Checked):
     """As ``animarl run --fit-method``; by default the preset's."""
     thrusts: str | None = None
     """As ``animarl run --thrusts``; by default the preset's."""
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Settings of single recipes of the matrix, over those of the preset."""
-    episodes: dict[str, Count] = Field(default_factory=dict)
+    episodes: dict[str, Count] = field(default_factory=dict)
     """At most so many of each split, drawn once; by default all."""
-    folds: dict[str, int] = Field(default_factory=dict)
+    folds: dict[str, int] = field(default_factory=dict)
     """Into how many folds a set of ``species`` or ``files`` is cross-validated, by its name: every
     episode is tested once, by what was trained without its recording. By default its own split is
     taken."""
@@ -88,13 +87,8 @@ class Matrix(Checked):
     resamples: Count = RESAMPLES
     """Of the intervals."""
 
-    @field_validator("thrusts", mode="before")
-    @classmethod
-    def _as_text(cls, thrusts: Any) -> Any:
-        return str(thrusts) if type(thrusts) is int else thrusts
-
-    @model_validator(mode="after")
-    def _check_names(self) -> Matrix:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         there = (*self.species, *self.files)
         if not there:
             raise InputError("species is empty: name one at least")
@@ -123,7 +117,6 @@ class Matrix(Checked):
             )
         if self.folds and self.episodes:
             raise InputError("folds and episodes are both given: folds need all episodes")
-        return self
 
     def recorded(self) -> dict[str, tuple[Demonstrations, ...]]:
         """Return the demonstrations of every row group, by name, as many as are asked for.
@@ -198,6 +191,8 @@ def read_matrix(preset: str, config: Path | None = None) -> Matrix:
     content = read_yaml(config or Path(str(FOLDER / f"{preset}.yml")))
     if not isinstance(content, dict):
         raise InputError(f"{place}: it holds no table: give species, recipes and seeds")
+    if type(content.get("thrusts")) is int:
+        content["thrusts"] = str(content["thrusts"])
     return Matrix.of(content, f"{place}: ")
 
 

@@ -16,7 +16,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -261,7 +261,7 @@ class Scoring(Piece):
 def _resolve(settings: RunSettings) -> dict[str, Any]:
     """Return a run's settings with everything that presets set, without where its file lies."""
     learner = settings.learner()
-    own = {k: v for k, v in settings.model_dump().items() if k not in ("file", "source", "config")}
+    own = {k: v for k, v in asdict(settings).items() if k not in ("file", "source", "config")}
     return {"settings": own, "learner": learner.arguments, "environment": learner.env_kwargs}
 
 

@@ -10,7 +10,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from animarl_algos.checked import SEED
 from animarl_algos.cli import shared
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
@@ -20,6 +19,7 @@ from animarl_envs.fitting.joint import FAST
 from animarl_envs.fitting.result import LocomotionFit, doubts, fit_locomotion, fits_by_kind
 from animarl_envs.fitting.tracking import speed_distances, track, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
+from animarl_envs.settings import Seed, check_value
 from animarl_envs.species import get_species
 
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
@@ -75,7 +75,7 @@ def fit_command(
     if out is not None:
         require(out.suffix == ".csv", f"{out}: a table ends in .csv: rename it")
         shared.refuse_overwriting(out, file)
-    seed, chosen = SEED.check("seed", seed), shared.named_split(split)
+    seed, chosen = check_value("seed", seed, Seed), shared.named_split(split)
     numbers = parse_numbers("--thrusts", thrusts, MOST_THRUSTS)
     if numbers and method != "joint":
         raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_origin, get_type_hints
 
 import typer
 from rich.text import Text
@@ -17,6 +17,7 @@ from animarl_algos.cli.evaluate import DETAILS, MEASURE, PRIMARY, TOLERANCE
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.settings import describe_fields, field_types
 from animarl_envs.species import CUSTOM, SPECIES
 
 if TYPE_CHECKING:
@@ -99,18 +100,17 @@ OTHERS = {
 def _options(names: str) -> list[inspect.Parameter]:
     """Return the options of a command; those of :class:`RunSettings` are made from its fields."""
     found = []
+    kinds, prose = get_type_hints(RunSettings), describe_fields(RunSettings, ranges=False)
     for name in names.split():
         if name in OTHERS:
             found.append(OTHERS[name])
             continue
-        field = RunSettings.model_fields[name]
-        kind: Any = str if get_origin(field.annotation) is Literal else field.annotation
-        default = field.default
+        kind: Any = str if get_origin(kinds[name]) is Literal else kinds[name]
+        default = getattr(RunSettings, name, None)
         if name in SET_BY_PRESET:
             kind, default = kind | None, None
         info = typer.Argument if name == "file" else typer.Option
-        prose = " ".join(str(field.description).split())
-        found.append(shared.option(name, kind, default, info(help=prose)))
+        found.append(shared.option(name, kind, default, info(help=prose[name])))
     return found
 
 
@@ -257,15 +257,15 @@ def _open(given: dict[str, Any]) -> Run:
         overrides["env_kwargs"] = {**worlds, "neighbours": given["neighbours"]}
     if given["policy"] is not None:
         overrides["policy"] = given["policy"]
-    told = {k: v for k, v in given.items() if k in RunSettings.model_fields and v is not None}
+    told = {k: v for k, v in given.items() if k in field_types(RunSettings) and v is not None}
     told |= {"species": species, "overrides": overrides}
     if given["env"] is not None and species != CUSTOM:
         told.setdefault("fit_method", "species")
-    learner = RunSettings(**{"steps": 1} | told).learner()
+    learner = RunSettings.of({"steps": 1} | told).learner()
     preset = pipeline_settings(environment_id(species), given["preset"])
     preset |= {"steps": learner.n_timesteps, "copies": learner.n_envs}
     return pipeline.open_run(
-        RunSettings(**preset | told), given["out"], shared.command_line(), demos
+        RunSettings.of(preset | told), given["out"], shared.command_line(), demos
     )
 
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 from typer import Argument, Option
 
-from animarl_algos.checked import SEED
 from animarl_algos.cli.shared import PlainConsole, helps, load, named_split
 from animarl_algos.runs.run_settings import environment_options
 from animarl_envs import environment_id
@@ -21,6 +20,7 @@ from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED, Scenario, make_scenario
+from animarl_envs.settings import Seed, check_value
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
@@ -94,7 +94,7 @@ def watch_command(
         raise InputError("--focal names whom the model drives, but there is no model: give --model")
     if beside and (model is None or out is None):
         raise InputError("--beside shows a model beside its recordings: give --model and --out")
-    seed = SEED.check("seed", seed)
+    seed = check_value("seed", seed, Seed)
     endings: dict[str, list[str]] = {"recorded": [], "simulated": []} if beside else {"": []}
     sides = []
     for title in endings:

@@ -3,11 +3,12 @@
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 from numpy.typing import NDArray
 
-from animarl_algos.checked import POSITIVE, Range
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.replay.sequence_buffer import GIB, available_memory
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -16,6 +17,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import Tracking, one_step_misses, track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import lone_pursuer
+from animarl_envs.settings import Positive, check_value
 from animarl_envs.species import Species
 from animarl_envs.worlds import (
     Mirror,
@@ -24,7 +26,7 @@ from animarl_envs.worlds import (
     observation_components,
 )
 
-HORIZON = Range(ge=1)  # [steps]
+Horizon = Annotated[float, Ge(1)]  # [steps]
 PER_ACTION, PER_COMPONENT = 44, 12
 """Bytes of a frame and individual while labels and observations are made."""
 
@@ -41,8 +43,8 @@ def check_labels(labels: str, width: float, horizon: float = 1.0) -> None:
     """Refuse settings of labels that are none."""
     if labels not in list(Labels):
         raise InputError(f"labels is {labels!r}: choose {', '.join(Labels)}")
-    POSITIVE.check("label_width", width)
-    HORIZON.check("label_horizon", horizon)
+    check_value("label_width", width, Positive)
+    check_value("label_horizon", horizon, Horizon)
 
 
 def soft_labels(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections import deque
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import gymnasium as gym
 import numpy as np
@@ -17,7 +17,6 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
 
-from animarl_algos.checked import SEED
 from animarl_algos.data.vec_env import (
     LABEL_OPTIONS,
     SlotLayout,
@@ -45,7 +44,6 @@ from animarl_algos.learner.settings import (
     check_setting_combinations,
     declared_limit,
     longest_episode,
-    settings_prose,
     translate_policy_kwargs,
 )
 from animarl_algos.learner.updates import UpdateSchedule
@@ -57,6 +55,7 @@ from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayB
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Seed, check_value, describe_fields
 from animarl_envs.species import get_species
 
 TO_SB3 = (
@@ -137,7 +136,7 @@ class BaseLearner(OffPolicyAlgorithm):
         parameters = text.partition("Parameters\n")[2].partition("\n\n")[0]
         prose = [
             f"{name}\n    {said}"
-            for name, said in settings_prose().items()
+            for name, said in describe_fields(LearnerSettings).items()
             if name not in ("policy", "learning_rate")
         ]
         own = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
@@ -164,7 +163,7 @@ class BaseLearner(OffPolicyAlgorithm):
         seed: int | None = None,
         device: torch.device | str = "auto",
         _init_setup_model: bool = True,
-        **settings: Unpack[LearnerSettings],
+        **settings: Any,
     ) -> None:
         if env is None and _init_setup_model:
             raise InputError("there is no environment to learn in: give env=")
@@ -249,7 +248,7 @@ class BaseLearner(OffPolicyAlgorithm):
     def _setup_model(self) -> None:
         self.train_freq = as_frequency(self.train_freq)  # type: ignore[assignment]
         if self.seed is not None:
-            self.seed = SEED.check("seed", self.seed)
+            self.seed = check_value("seed", self.seed, Seed)
         self.offline_settings = OfflineSettings.of(self.offline_kwargs, "offline_kwargs: ")
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
@@ -278,7 +277,7 @@ class BaseLearner(OffPolicyAlgorithm):
             treatment_head=self.recipe.needs_condition and self.layout.condition_flag,
             acting=self.acting_rule or Acting.epsilon_greedy(self.exploration_rate),
             seed=self.root_seed,
-            **PolicySettings.read(self.policy_kwargs, "policy_kwargs: "),
+            **PolicySettings.check(self.policy_kwargs, "policy_kwargs: "),
         ).to(self.device)
 
     def _make_replay_buffer(self) -> SequenceReplayBuffer:
@@ -302,7 +301,7 @@ class BaseLearner(OffPolicyAlgorithm):
             seed=self.root_seed,
             names=self.layout.individuals,
             device=self.device,
-            **ReplaySettings.read(self.replay_buffer_kwargs, "replay_buffer_kwargs: "),
+            **ReplaySettings.check(self.replay_buffer_kwargs, "replay_buffer_kwargs: "),
         )
 
     def set_random_seed(self, seed: int | None = None) -> None:

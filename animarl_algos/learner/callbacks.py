@@ -19,11 +19,11 @@ from stable_baselines3.common.type_aliases import MaybeCallback
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
-from animarl_algos.checked import COUNT
 from animarl_algos.data.vec_env import SlotLayout, declared_feedback, feedback_of
 from animarl_algos.learner.checkpoint import save_checkpoint
 from animarl_algos.learner.pretraining import shown_progress
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Count, check_value
 
 TERMINATED = 128 + signal.SIGTERM
 """The exit code after SIGTERM, as a shell gives it."""
@@ -172,7 +172,7 @@ def evaluate_individuals(
     deterministic
         The greedy action; otherwise as the policy's acting rule says.
     """
-    COUNT.check("episodes", episodes)
+    check_value("episodes", episodes, Count)
     layout = SlotLayout.of(env)
     copies, K = layout.num_copies, layout.num_individuals
     wanted = np.array([(episodes + b) // copies for b in range(copies)])
@@ -231,7 +231,10 @@ class EvaluateIndividuals(BaseCallback):
         verbose: int = 0,
     ) -> None:
         super().__init__(verbose)
-        self.every, self.episodes = COUNT.check("every", every), COUNT.check("episodes", episodes)
+        self.every, self.episodes = (
+            check_value("every", every, Count),
+            check_value("episodes", episodes, Count),
+        )
         self.env, self.deterministic, self.seed = env, deterministic, seed
         self.history: list[tuple[int, IndividualReturns]] = []
         self._due = self.every

@@ -18,7 +18,6 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.checked import Checked
 from animarl_algos.data.vec_env import declared
 from animarl_algos.learner.settings import (
     RUN_KEYS,
@@ -30,6 +29,7 @@ from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.files import parse_yaml
 from animarl_envs.scenario import Scenario
+from animarl_envs.settings import Checked, field_types
 from animarl_envs.tasks import find_task
 
 CONFIGS = resources.files("zoo_configs")
@@ -75,7 +75,7 @@ def learner_preset(
             f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of "
             f"{', '.join(ids)}"
         )
-    given = LearnerFile.read(dict(overrides or {}), f"{algo}: setting ")
+    given = LearnerFile.check(dict(overrides or {}), f"{algo}: setting ")
     found = merged(found, given)
     missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
     if missing:
@@ -150,7 +150,7 @@ def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:
                 f"setting {name!r} is unknown: choose among {', '.join(sorted(known))}"
             )
     own = {name: value for name, value in given.items() if name != "policy"}
-    checked: dict[str, Any] = LearnerFile.read(own, "")
+    checked: dict[str, Any] = LearnerFile.check(own, "")
     return dict(given) | checked
 
 
@@ -229,7 +229,7 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
         place = f"{name}: {section}"
         wrong = presets
         if isinstance(presets, dict):
-            if set(presets) & set(model.model_fields):  # rl_zoo3's: settings without a preset
+            if set(presets) & field_types(model).keys():  # rl_zoo3's: settings without a preset
                 presets = {"default": ({} if bases else {"n_envs": 1}) | presets}
             wrong = next((str(key) for key in presets if key not in PRESETS), None)
         if wrong is not None:
@@ -241,7 +241,7 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
             if not isinstance(settings, dict):
                 raise InputError(f"{place}: {preset} is {settings!r}: give a table of settings")
             settings = {str(key): value for key, value in settings.items()}
-            checked = model.read(settings, f"{place}: {preset}: ")
+            checked = model.check(settings, f"{place}: {preset}: ")
             sections.setdefault(str(section), {})[preset] = checked
     return bases, sections
 

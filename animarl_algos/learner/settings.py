@@ -10,31 +10,31 @@ import ast
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Annotated, Any, Literal, get_type_hints
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    TypeAdapter,
-    WithJsonSchema,
-    create_model,
-    model_validator,
-    with_config,
-)
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import AfterValidator, WithJsonSchema
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
-from typing_extensions import TypedDict
 
-from animarl_algos.checked import Checked, prose
 from animarl_algos.data.vec_env import declared
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.replay.sequence_buffer import StateMode
-from animarl_envs.checks import is_number
 from animarl_envs.errors import InputError
+from animarl_envs.settings import (
+    Checked,
+    Count,
+    CountOrZero,
+    NotNegative,
+    Positive,
+    Probability,
+    is_number,
+)
 
 POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
 """By their names in files and arguments."""
@@ -91,144 +91,149 @@ def linear_schedule(rate: str) -> LinearSchedule:
 Rate = Annotated[Any, AfterValidator(_check_rate), WithJsonSchema({"type": "number"})]
 Frequency = Annotated[Any, AfterValidator(_check_frequency), WithJsonSchema({"type": "array"})]
 Table = dict[str, Any] | None
-Share = Annotated[float, Field(gt=0, le=1)]
+Share = Annotated[float, Gt(0), Le(1)]
 
 
-@with_config(use_attribute_docstrings=True)
-class LearnerSettings(TypedDict, total=False):
-    """Keyword arguments of every learner; their defaults are preset ``default``'s."""
+@dataclass(frozen=True, kw_only=True)
+class LearnerSettings(Checked):
+    """All settings of a learner; the defaults hold where no preset sets another."""
 
-    buffer_size: Annotated[int, Field(500_000, ge=1)]
+    policy: Literal["GruPolicy", "MlpPolicy"] = "GruPolicy"
+    """With a memory, or without."""
+    learning_rate: Rate = 1e-4
+    """Of Adam, online: a number, lin_<number> (linear to 0), or a schedule of what remains."""
+    buffer_size: Count = 500_000
     """Replay memory [world steps]; whole episodes are evicted, oldest first."""
-    batch_size: Annotated[int, Field(32, ge=1)]
+    batch_size: Count = 32
     """Sequences per individual and update, online."""
-    gamma: Annotated[float, Field(0.9, ge=0, le=1)]
+    gamma: Probability = 0.9
     """Discount per step."""
-    n_steps: Annotated[int, Field(1, ge=1)]
+    n_steps: Count = 1
     """Rewards summed before the value of what follows, as far as the sequence goes on; online."""
-    tau: Annotated[float, Field(1.0, gt=0, le=1)]
+    tau: Share = 1.0
     """Share of the online weights that a target update takes over."""
-    target_update_interval: Annotated[Frequency, Field([2000, "episode"])]
+    target_update_interval: Frequency = (2000, "episode")
     """``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch."""
-    train_freq: Annotated[Frequency, Field([1, "episode"])]
+    train_freq: Frequency = (1, "episode")
     """``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
     finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps`` updates
     after n steps of each copy, or with -1 as many as steps were done in all copies."""
-    gradient_steps: Annotated[int, Field(1, ge=-1)]
+    gradient_steps: Annotated[int, Ge(-1)] = 1
     """Updates after ``train_freq`` steps; -1: as many as steps."""
-    updates_per_episode: Annotated[float, Field(1.0, ge=0)]
+    updates_per_episode: NotNegative = 1.0
     """Updates for each finished episode; may be fractional."""
-    learning_starts: Annotated[int, Field(0, ge=0)]
+    learning_starts: CountOrZero = 0
     """Steps acted at random before the first update."""
-    exploration: Annotated[Literal["epsilon", "boltzmann"], Field("epsilon")]
+    exploration: Literal["epsilon", "boltzmann"] = "epsilon"
     """``"boltzmann"``: after an offline phase, actions are sampled at the temperatures under which
     the validation actions are likeliest, so that online collection acts as the policy acts.
     ``"epsilon"``, and without an offline phase: epsilon-greedy (the paper)."""
-    exploration_initial_eps: Annotated[float, Field(0.5, ge=0, le=1)]
+    exploration_initial_eps: Probability = 0.5
     """Epsilon at the start; unused where actions are sampled."""
-    exploration_final_eps: Annotated[float, Field(0.3, ge=0, le=1)]
+    exploration_final_eps: Probability = 0.3
     """Epsilon at the end, which it reaches linearly and then keeps."""
-    exploration_steps: Annotated[int, Field(50_000, ge=0)]
+    exploration_steps: CountOrZero = 50_000
     """Steps over which epsilon falls."""
-    exploration_fraction: Annotated[Share | None, Field(None)]
+    exploration_fraction: Share | None = None
     """The same steps as a share of ``total_timesteps`` instead."""
-    alpha: Annotated[float, Field(1.0, ge=0)]
+    alpha: NotNegative = 1.0
     """Weight of the distance penalty in the reward, ``R - alpha * penalty``, online."""
-    lambda1: Annotated[float, Field(1e-5, ge=0)]
+    lambda1: NotNegative = 1e-5
     """Weight of the squared l2 norm of the weights, in both phases."""
-    lambda2: Annotated[float, Field(1.0, ge=0)]
+    lambda2: NotNegative = 1.0
     """Weight of the treatment cross-entropy, online."""
-    lambda3: Annotated[float, Field(10.0, ge=0)]
+    lambda3: NotNegative = 10.0
     """Weight of the action supervision, online."""
-    max_grad_norm: Annotated[Annotated[float, Field(gt=0)] | None, Field(10.0)]
+    max_grad_norm: Positive | None = 10.0
     """Largest gradient norm of one individual, online; None does not clip."""
-    sequence_length: Annotated[Annotated[int, Field(ge=1)] | None, Field(None)]
+    sequence_length: Count | None = None
     """Steps of the sequences that are learned from; None: whole episodes. This and the four that
     follow: :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`."""
-    burn_in: Annotated[int, Field(0, ge=0)]
+    burn_in: CountOrZero = 0
     """First steps of a sequence, which only rebuild the memory."""
-    state_mode: Annotated[str, Field("recompute")]
+    state_mode: str = "recompute"
     """Where the memory at the start of a sequence comes from."""
-    prioritized: Annotated[bool, Field(True)]
+    prioritized: bool = True
     """Whether sequences are drawn by their temporal difference errors."""
-    replay_buffer_kwargs: Annotated[Table, Field(None)]
+    replay_buffer_kwargs: Table = None
     """Further arguments of the replay memory."""
-    standardise_inputs: Annotated[bool, Field(False)]
+    standardise_inputs: bool = False
     """Whether the networks see observations centred and scaled by mean and sd of those that the
     memory holds at the first update (of random steps, with ``learning_starts``); where the offline
     phase has standardised them, that stays."""
-    max_episode_steps: Annotated[Annotated[int, Field(ge=1)] | None, Field(None)]
+    max_episode_steps: Count | None = None
     """Longest episode [steps]; None: what the environment declares."""
-    offline_loss: Annotated[Literal["recipe", "cloning"], Field("recipe")]
+    offline_loss: Literal["recipe", "cloning"] = "recipe"
     """``"recipe"``: the recipe's own offline terms. ``"cloning"``: cross-entropy of soft labels
     instead, after which the values of states, of which cloning says nothing, begin at 0."""
-    offline_epochs: Annotated[int, Field(0, ge=0)]
+    offline_epochs: CountOrZero = 0
     """Epochs on the demonstrations before the first step in the environment; the best by validation
     is kept, for each individual its own."""
-    offline_learning_rate: Annotated[float, Field(1e-4, gt=0)]
+    offline_learning_rate: Positive = 1e-4
     """Of Adam in the offline phase."""
-    offline_batch_size: Annotated[int, Field(16, ge=1)]
+    offline_batch_size: Count = 16
     """Sequences per individual and update, offline."""
-    offline_gamma: Annotated[float, Field(0.99, ge=0, le=1)]
+    offline_gamma: Probability = 0.99
     """Discount per step, offline."""
-    offline_alpha: Annotated[float, Field(10.0, ge=0)]
+    offline_alpha: NotNegative = 10.0
     """Weight of the distance penalty, offline."""
-    offline_scaled_penalties: Annotated[bool, Field(False)]
+    offline_scaled_penalties: bool = False
     """Whether the penalties of all actions are measured in units of their mean instead of arena
     units (the paper), offline."""
-    offline_lambda2: Annotated[float, Field(10.0, ge=0)]
+    offline_lambda2: NotNegative = 10.0
     """Weight of the treatment cross-entropy, offline."""
-    offline_lambda3: Annotated[float, Field(50.0, ge=0)]
+    offline_lambda3: NotNegative = 50.0
     """Weight of the action supervision, offline."""
-    offline_max_grad_norm: Annotated[Annotated[float, Field(gt=0)] | None, Field(20.0)]
+    offline_max_grad_norm: Positive | None = 20.0
     """Largest gradient norm of one individual, offline; None does not clip."""
-    offline_patience: Annotated[Annotated[int, Field(ge=1)] | None, Field(None)]
+    offline_patience: Count | None = None
     """Epochs without a better one after which the offline phase stops."""
-    offline_kwargs: Annotated[Table, Field(None)]
+    offline_kwargs: Table = None
     """How the offline phase draws its minibatches and takes its steps, see
     :class:`OfflineSettings`."""
-    policy_kwargs: Annotated[Table, Field(None)]
+    policy_kwargs: Table = None
     """See :class:`animarl_algos.networks.policies.GruPolicy`; stable-baselines3's ``net_arch`` and
     ``activation_fn`` are translated. This table, ``offline_kwargs`` and ``replay_buffer_kwargs`` go
     over the preset's key by key; None empties them."""
-    stats_window_size: Annotated[int, Field(100, ge=1)]
+    stats_window_size: Count = 100
     """Episodes in the means of the log."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class OfflineSettings(Checked):
     """Settings of the offline phase beside its length, rate and loss; the defaults are the paper's.
 
     Raises InputError if a number is out of its range, or one makes another useless.
     """
 
-    sequence_length: Annotated[int, Field(ge=1)] | None = None
+    sequence_length: Count | None = None
     """None: minibatches of whole episodes, each once an epoch. A number: of windows of so many
     steps, drawn independently with replacement; 1 for networks without a memory."""
-    burn_in: int = Field(0, ge=0)
+    burn_in: CountOrZero = 0
     """Steps before each window that only rebuild the memory."""
-    updates_per_epoch: Annotated[int, Field(ge=1)] | None = None
+    updates_per_epoch: Count | None = None
     """Updates between two looks at the validation split; None: one pass over the steps. The
     offline phase is ``offline_epochs`` times as long."""
-    passes_per_epoch: Annotated[float, Field(gt=0)] | None = None
+    passes_per_epoch: Positive | None = None
     """With ``updates_per_epoch``: no more of them than are so many passes over the steps. Few
     demonstrations are known by heart before many updates are over."""
-    warm_up: int = Field(0, ge=0)
+    warm_up: CountOrZero = 0
     """Updates over which the learning rate rises linearly to ``offline_learning_rate``."""
     anneal: bool = False
     """Whether it then falls to 0 over the whole phase, as half a cosine (Loshchilov & Hutter
     2017)."""
-    weight_decay: float = Field(0.0, ge=0)
+    weight_decay: NotNegative = 0.0
     """Share of each weight that an update takes away, per unit of the learning rate (decoupled, as
     in AdamW: Loshchilov & Hutter 2019)."""
-    average: float = Field(0.0, ge=0, le=1 - 1e-9)
+    average: Annotated[float, Ge(0), Lt(1)] = 0.0
     """Largest decay d of the moving average of the weights, ``min(d, (1 + t) / (10 + t))`` after t
     updates, which then is what is validated, kept and used; 0: the weights themselves."""
     standardise: bool = False
     """Whether observations are standardised by the mean and sd of the training split within the
     network."""
 
-    @model_validator(mode="after")
-    def _check_combinations(self) -> OfflineSettings:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.sequence_length is None and (self.burn_in or self.updates_per_epoch):
             raise InputError(
                 "burn_in and updates_per_epoch are for windows: give sequence_length, or leave "
@@ -236,7 +241,6 @@ class OfflineSettings(Checked):
             )
         if self.passes_per_epoch is not None and self.updates_per_epoch is None:
             raise InputError("passes_per_epoch limits updates_per_epoch: give both, or neither")
-        return self
 
     def updates(self, steps: int, batch_size: int) -> int:
         """Return the updates of an epoch with minibatches of windows of so many steps."""
@@ -255,48 +259,38 @@ class OfflineSettings(Checked):
         return factor
 
 
-_RATE = "Of Adam, online: a number, lin_<number> (linear to 0), or a schedule of what remains."
-
-
-class LearnerFile(
-    create_model(  # type: ignore[misc]
-        "Arguments",
-        __base__=Checked,
-        policy=Annotated[
-            Literal["GruPolicy", "MlpPolicy"],
-            Field("GruPolicy", description="With a memory, or without."),
-        ],
-        learning_rate=Annotated[Rate, Field(1e-4, description=_RATE)],
-        **get_type_hints(LearnerSettings, include_extras=True),
-    )
-):
+@dataclass(frozen=True, kw_only=True)
+class LearnerFile(LearnerSettings):
     """What a section of a file of ``zoo_configs`` may say.
 
     Numbers may be written ``1e-4``, which YAML takes for text, and tables as rl_zoo3 writes them,
     ``"dict(net_arch=[64, 64])"``; literals alone are read, nothing is evaluated.
     """
 
-    n_timesteps: int = Field(1, ge=1)
+    n_timesteps: Count = 1
     """Steps of the world."""
-    n_envs: int = Field(1, ge=1)
+    n_envs: Count = 1
     """Copies of the world."""
-    env_kwargs: dict[str, Any] | None = None
+    env_kwargs: Table = None
     """Options of the training environment."""
 
-    @model_validator(mode="before")
     @classmethod
-    def _text_as_numbers(cls, given: dict[str, Any]) -> dict[str, Any]:
-        numbers = dict(given)
-        for name, value in given.items():
-            with suppress(ValueError):
-                numbers[name] = float(value) if isinstance(value, str) else value
-            if isinstance(value, str) and value.startswith("dict("):
-                with suppress(ValueError, SyntaxError):
-                    call = ast.parse(value, mode="eval").body
-                    if isinstance(call, ast.Call) and not call.args:
-                        pairs = {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
-                        numbers[name] = pairs
-        return numbers
+    def check(cls, given: Mapping[str, Any], place: str = "") -> dict[str, Any]:
+        """Return ``given`` with every value checked, texts of numbers and tables read."""
+        return super().check({name: _read_text(value) for name, value in given.items()}, place)
+
+
+def _read_text(value: Any) -> Any:
+    """Return the number or the table that a text holds, any other value as it is."""
+    if not isinstance(value, str):
+        return value
+    with suppress(ValueError):
+        return float(value)
+    with suppress(ValueError, SyntaxError):
+        call = ast.parse(value, mode="eval").body
+        if value.startswith("dict(") and isinstance(call, ast.Call) and not call.args:
+            return {str(k.arg): ast.literal_eval(k.value) for k in call.keywords}
+    return value
 
 
 RUN_KEYS = ("n_timesteps", "n_envs", "env_kwargs")
@@ -305,15 +299,7 @@ RUN_KEYS = ("n_timesteps", "n_envs", "env_kwargs")
 
 def default_settings() -> dict[str, Any]:
     """Return all settings of a learner, each as it is where no preset says another."""
-    whole = LearnerFile()
-    return {name: getattr(whole, name) for name in LearnerFile.model_fields if name not in RUN_KEYS}
-
-
-def settings_prose() -> dict[str, str]:
-    """Return what each setting of a learner means and what it may be, by name."""
-    shown = LearnerFile.model_json_schema()["properties"]
-    shown |= TypeAdapter(LearnerSettings).json_schema()["properties"]
-    return {name: prose(shown[name]) for name in default_settings()}
+    return vars(LearnerSettings()).copy()
 
 
 def longest_episode(env: VecEnv | None, given: int | None) -> int | None:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.checked import POSITIVE, PROBABILITY
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_DIRECTIONS
+from animarl_envs.settings import Positive, Probability, check_fields, check_value
 
 
 class Kind(StrEnum):
@@ -52,21 +52,19 @@ class Acting:
 
     kind: Kind = Kind.GREEDY
     temperature: tuple[float, ...] = (1.0,)
-    epsilon: float = 0.0
-    thrust: float = 1.0
-    direction: float = 1.0
+    epsilon: Probability = 0.0
+    thrust: Positive = 1.0
+    direction: Positive = 1.0
 
     def __post_init__(self) -> None:
         if self.kind not in list(Kind):
             raise InputError(f"acting is {self.kind!r}: choose {', '.join(Kind)}")
         object.__setattr__(self, "kind", Kind(self.kind))
-        ranges = {"epsilon": PROBABILITY, "thrust": POSITIVE, "direction": POSITIVE}
-        for name, range_ in ranges.items():
-            object.__setattr__(self, name, float(range_.check(name, getattr(self, name))))
+        check_fields(self)
         each = np.atleast_1d(np.asarray(self.temperature, dtype=object)).ravel()
         if not len(each):
             raise InputError("temperature holds no number: give one, or one per individual")
-        checked = tuple(float(POSITIVE.check("temperature", value)) for value in each)
+        checked = tuple(check_value("temperature", value, Positive) for value in each)
         object.__setattr__(self, "temperature", checked)
 
     @classmethod

@@ -31,11 +31,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from annotated_types import Ge, Le
 from numpy.typing import NDArray
-from pydantic import Field
 from torch import nn
 
-from animarl_algos.checked import Checked
 from animarl_algos.losses.values import reverse_gradient, take_action
 from animarl_algos.networks.kernels import WeightViews, chosen_values, runs_compiled
 from animarl_algos.networks.layers import (
@@ -46,6 +45,7 @@ from animarl_algos.networks.layers import (
     individual_generators,
 )
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Checked, NotNegative
 
 TREATMENT_UNITS = 8
 INPUT_LIMIT = 6.0
@@ -53,27 +53,28 @@ INPUT_LIMIT = 6.0
 recording has been."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class NetworkSettings(Checked):
     """Shape of the networks; the defaults are the paper's."""
 
-    hidden: int = Field(32, ge=1, le=8192)
+    hidden: Annotated[int, Ge(1), Le(8192)] = 32
     """Width of every hidden layer."""
-    depth: int = Field(2, ge=1, le=100)
+    depth: Annotated[int, Ge(1), Le(100)] = 2
     """Layers before the GRU."""
-    head_layers: int = Field(1, ge=0, le=1)
+    head_layers: Annotated[int, Ge(0), Le(1)] = 1
     """Hidden layers of the dueling head; 0: V and A are linear in what the head sees."""
-    n_quantiles: Annotated[int, Field(ge=2)] | None = None
+    n_quantiles: Annotated[int, Ge(2)] | None = None
     """Quantiles per action (QR-DQN); None for expected values (DQN)."""
     skip: bool = False
     """Whether the heads see the encoded observation beside the GRU's state."""
-    dropout: float = Field(0.0, ge=0, le=0.95)
+    dropout: Annotated[float, Ge(0), Le(0.95)] = 0.0
     """Share of the hidden units (encoder and GRU) that are left out in the offline phase."""
     previous_action: bool | None = None
     """Whether the previous action is an input; None: for a network with a memory."""
     condition_input: Literal["head", "encoder"] = "head"
     """Where the condition flag enters: ``"head"`` bypasses encoder and GRU, which stay blind to it,
     and ``"encoder"`` does not; a network with a treatment head needs ``"head"``."""
-    reversal: float = Field(1.0, ge=0)
+    reversal: NotNegative = 1.0
     """Strength of the gradient reversal."""
     shared: bool = False
     """Whether all individuals have the same weights and statistics of inputs (parameter sharing:

@@ -5,14 +5,14 @@ slot s; each slot is routed to the network of its individual. Between calls a sl
 hidden state and its previous action.
 """
 
-from typing import Annotated, Any, ClassVar, Literal
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
 
 import numba as nb
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from pydantic import WithJsonSchema
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
@@ -22,6 +22,7 @@ from animarl_algos.networks.kernels import sigmoid_float32, tanh_float32
 from animarl_algos.networks.networks import NetworkSettings, StackedQNetwork
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
+from animarl_envs.settings import field_types
 
 State = tuple[NDArray[np.float32], NDArray[np.int64]]
 """Hidden state (S, H) and previous action (S,)."""
@@ -29,13 +30,14 @@ FINISHED = np.iinfo(np.int64).min
 """In the place of a previous action: the slot's episode is over, so nothing is computed for it."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class PolicySettings(NetworkSettings):
     """What ``policy_kwargs`` may say."""
 
     td_loss: Literal["squared", "huber"] = "squared"
     """Of expected values: the temporal-difference error squared (the paper), or by Huber's loss
     with threshold 1 (stable-baselines3)."""
-    optimizer_class: Annotated[Any, WithJsonSchema({})] = None
+    optimizer_class: Any = None
     """As in stable-baselines3; None: Adam."""
     optimizer_kwargs: dict[str, Any] | None = None
     """As in stable-baselines3; those of Adam are ``fused=True`` where they say nothing else."""
@@ -286,7 +288,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         return spaces_ | rule | self._arguments
 
 
-OF_TRAINING = PolicySettings.model_fields.keys() - NetworkSettings.model_fields.keys()
+OF_TRAINING = field_types(PolicySettings).keys() - field_types(NetworkSettings).keys()
 
 
 class MlpPolicy(GruPolicy):

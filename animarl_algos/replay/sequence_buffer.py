@@ -10,18 +10,18 @@ import os
 import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
-from animarl_algos.checked import Checked
 from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
 from animarl_algos.replay.sum_trees import SumTrees, draw_stratified
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Checked, Count, NotNegative
 
 
 class StateMode(enum.StrEnum):
@@ -36,12 +36,13 @@ BETA = (0.4, 1.0)  # exponent of the importance weights at the start of training
 PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
 
 
+@dataclass(frozen=True, kw_only=True)
 class ReplaySettings(Checked):
     """What ``replay_buffer_kwargs`` may say."""
 
-    alpha: float = Field(0.6, ge=0)
+    alpha: NotNegative = 0.6
     """Exponent of the priorities."""
-    max_episodes: Annotated[int, Field(ge=1)] | None = None
+    max_episodes: Count | None = None
     """Most episodes kept, however short; None: as many as the memory holds."""
 
 

@@ -20,6 +20,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
+from dataclasses import asdict
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,7 +99,7 @@ class Run:
         world = {"observation": species.observation, "rebound": species.arena.rebound}
         resolved = _as_json(
             {
-                "settings": settings.model_dump(),
+                "settings": asdict(settings),
                 "learner": own.arguments,
                 "baseline": other.arguments,
                 "environment": world | own.env_kwargs,
@@ -156,7 +157,7 @@ class Run:
     def settings(self) -> RunSettings:
         """As the run was asked for."""
         try:
-            return RunSettings(**self.record["settings"])
+            return RunSettings.of(self.record["settings"])
         except (KeyError, TypeError, InputError) as error:
             raise InputError(
                 f"{self.path / 'settings.json'}: it is not of this version of animarl ({error}): "
@@ -179,7 +180,7 @@ class Run:
                 f"{self.path}: its checkpoints are gone, so it cannot go on: start a new run"
             )
         asked = settings.changed(steps=steps or settings.steps, device=device or settings.device)
-        self._write_record(self.record | {"settings": asked.model_dump()})
+        self._write_record(self.record | {"settings": asdict(asked)})
 
     def suggested_command(self) -> str:
         """Return the command that adds to the run what it lacks: it skips whatever is there."""

@@ -20,12 +20,14 @@ import numpy as np
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import MIN_TEST_RECORDINGS
 from animarl_algos.runs.run import DEMONSTRATIONS, Run, method_name
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_algos.runs.run_world import SENSES, world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import Tracking, track
+from animarl_envs.settings import field_types
 from animarl_envs.species import Species
 
 METHOD_FIELDS = ("observation", "source", "title", "version_history", "mirror_symmetric", "bodies")
@@ -196,9 +198,7 @@ def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
         fold = Run(run.path / FOLDER / f"{number}-of-{folds}", run.acting_rule)
         fold.path.mkdir(parents=True, exist_ok=True)
         reasons = run.record.get("reasons", {})
-        chosen = {
-            key: why for key, why in reasons.items() if key in type(run.settings).model_fields
-        }
+        chosen = {key: why for key, why in reasons.items() if key in field_types(RunSettings)}
         fold.start(run.settings, demos, run.record["command"], chosen)
         found.append(fold)
     return tuple(found)

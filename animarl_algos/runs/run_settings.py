@@ -6,18 +6,19 @@ that need it import it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium as gym
-from pydantic import Field, field_validator, model_validator
+from annotated_types import Ge, Le
 
-from animarl_algos.checked import Checked
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import PACKAGED, refuse_other_species
+from animarl_envs.settings import Checked, Count, Seed
 from animarl_envs.species import CUSTOM, SPECIES, Species, get_species, species_name
 from animarl_envs.tasks import find_task
 
@@ -26,8 +27,10 @@ if TYPE_CHECKING:
 
 BEHAVIOUR_CLONING = "bc"
 CHOSEN, AUTO = "chosen", "auto"
+Copies = Annotated[int, Ge(1), Le(100_000)]
 
 
+@dataclass(frozen=True, kw_only=True)
 class PipelineSettings(Checked):
     """What is done around a learner, as ``zoo_configs/pipeline.yml`` may say it."""
 
@@ -41,6 +44,7 @@ class PipelineSettings(Checked):
     rollouts, after training); by default the preset's."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class RunSettings(PipelineSettings):
     """What decides a run together with the demonstrations.
 
@@ -59,11 +63,11 @@ class RunSettings(PipelineSettings):
     """Settings: paper (the paper's) or default (tuned)."""
     config: str | None = None
     """YAML file to read instead of zoo_configs/ALGO.yml."""
-    steps: int = Field(ge=1)
+    steps: Count
     """Environment steps of the online phase; by default the preset's."""
-    seed: int = Field(0, ge=0, le=2**32 - 1)
+    seed: Seed = 0
     """Random seed; the same seed gives the same results."""
-    copies: int = Field(16, ge=1, le=100_000)
+    copies: Copies = 16
     """Worlds simulated side by side; by default the preset's."""
     focal: str | None = None
     """Only this individual learns, and the others replay; default: all learn."""
@@ -72,33 +76,23 @@ class RunSettings(PipelineSettings):
     cloning: str = CHOSEN
     """Recipe of the clone: exact, exact-few, nearly-exact, recorded, recorded-few, recorded-many,
     search, search-remembered, or chosen (by the demonstrations; zoo_configs/cloning.yml)."""
-    repetitions: int = Field(5, ge=1, le=100_000)
+    repetitions: Copies = 5
     """Rollouts per test demonstration."""
     baselines: bool = True
     """Compare with BC, an untrained network and random actions."""
-    checkpoint_every: int = Field(20_000, ge=1)
+    checkpoint_every: Count = 20_000
     """Steps between two checkpoints."""
-    overrides: dict[str, Any] = Field(default_factory=dict)
+    overrides: dict[str, Any] = field(default_factory=dict)
     """Settings of the learner that go over the preset's."""
 
-    @field_validator("species")
-    @classmethod
-    def _name_species(cls, species: str) -> str:
-        return species_name(species)
-
-    @field_validator("algo")
-    @classmethod
-    def _check_algo(cls, algo: str) -> str:
-        from animarl_algos.recipes.registry import named_recipe
-
-        named_recipe(algo)
-        return algo
-
-    @model_validator(mode="after")
-    def _check_combinations(self) -> RunSettings:
+    def __post_init__(self) -> None:
+        super().__post_init__()
         from animarl_algos.data.recipe_choice import CLONINGS
         from animarl_algos.networks.acting_rule import Acting
+        from animarl_algos.recipes.registry import named_recipe
 
+        object.__setattr__(self, "species", species_name(self.species))
+        named_recipe(self.algo)
         if self.species != CUSTOM:
             get_species(self.species)
         if self.acting != CHOSEN:
@@ -114,7 +108,6 @@ class RunSettings(PipelineSettings):
             known = ", ".join((CHOSEN, *CLONINGS))
             raise InputError(f"cloning is {self.cloning!r}: choose among {known}")
         check_device(self.device)
-        return self
 
     @property
     def compared(self) -> tuple[str, ...]:

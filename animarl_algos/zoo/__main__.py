@@ -14,7 +14,6 @@ import rl_zoo3.exp_manager
 import rl_zoo3.train
 import torch
 
-from animarl_algos.checked import COUNT, COUNT_OR_NONE
 from animarl_algos.cli.shared import parse_settings
 from animarl_algos.learner.callbacks import ProgressBar
 from animarl_algos.learner.presets import PRESETS
@@ -23,6 +22,7 @@ from animarl_algos.runs.run_settings import check_device
 from animarl_algos.zoo import manager
 from animarl_envs.errors import InputError, printable
 from animarl_envs.files import unreadable_or_unwritable
+from animarl_envs.settings import Count, check_value
 
 COMMANDS = ("train", "optimize")
 USAGE = """python -m animarl_algos.zoo COMMAND ...
@@ -74,8 +74,8 @@ class Parser(argparse.ArgumentParser):
             raise InputError("--trial-id is not supported: give the trial's settings by -params")
         for name in ("eval_episodes", "n_eval_envs", "n_trials", "n_timesteps"):
             if getattr(asked, name) != manager.UNSET_STEPS or name != "n_timesteps":
-                COUNT.check(f"--{name.replace('_', '-')}", getattr(asked, name))
-        COUNT_OR_NONE.check("--n-evaluations", asked.n_evaluations)
+                check_value(f"--{name.replace('_', '-')}", getattr(asked, name), Count)
+        check_value("--n-evaluations", asked.n_evaluations, Count | None)
         if asked.optimize_hyperparameters:
             database = Path(asked.log_folder) / asked.algo / "optuna.db"
             asked.storage = asked.storage or f"sqlite:///{database}"

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import (
     HEADING,
     INTERVAL,
@@ -30,6 +29,7 @@ from animarl_envs.demos.episode import (
 from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions, lone_pursuer
 from animarl_envs.locomotion import velocities
+from animarl_envs.settings import check_names
 
 HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
 

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs import wall
-from animarl_envs.checks import plain
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import allowed_bytes, read_npz, refuse_special, write_then_rename
 from animarl_envs.focus import is_free
+from animarl_envs.settings import plain
 
 SPLITS = ("train", "val", "test")
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from animarl_envs.checks import is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.settings import is_whole
 
 ALIKE = ("species", "individuals", "roles", "dt", "arena")
 BY_RECORDING = ("scales", "cleaning")  # entries of the provenance

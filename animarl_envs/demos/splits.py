@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_options, option
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Checked, option
 from animarl_envs.wall import search_names
 
 FEWEST_FOLDS = 3  # train, val and test
@@ -19,7 +19,7 @@ FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt t
 
 
 @dataclass(frozen=True, kw_only=True)
-class Splitting:
+class Splitting(Checked):
     """How episodes are dealt to train, val and test.
 
     By ``"group"``: recordings whose name gives the same first group of the regular expression
@@ -38,7 +38,7 @@ class Splitting:
         object.__setattr__(self, "fractions", fractions)
         if len(fractions) != 3 or min(fractions) < 0 or not math.isclose(sum(fractions), 1):
             raise InputError(f"fractions are {fractions}: give three that add up to 1")
-        check_options(self)
+        super().__post_init__()
         if self.seed < 0:
             raise InputError(f"the seed of the splits is {self.seed}: give zero or more")
         if (self.by == "group") != (self.pattern is not None):

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import check_options, option
 from animarl_envs.demos.episode import FILLED, HEADING
 from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.importing.tracks import CENTROID, Tracks
 from animarl_envs.locomotion import shorter_turn
+from animarl_envs.settings import Checked, NotNegative, Positive, PositiveOrInfinite, option
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ SHOWN_JUMPS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cleaning:
+class Cleaning(Checked):
     """What is done to the tracks of every recording."""
 
     keypoint: str = option(
@@ -41,18 +41,20 @@ class Cleaning:
         None, "heading", "Two keypoints; bodies point from the first to the second: thorax,head."
     )
     min_confidence: float | None = option(
-        None, "min_confidence",
+        None,
+        "min_confidence",
         "Keypoints with less count as not tracked; default: 0.6 for likelihoods; 0 keeps all.",
-        "a number",
-    )  # fmt: skip
-    max_gap: float = option(
-        0.0, "max_gap", "Fill gaps up to this many seconds linearly; longer gaps cut.",
-        "zero or positive", "s",
-    )  # fmt: skip
-    smoothing_cutoff: float | None = option(
-        None, "smoothing", "Low-pass cutoff in Hz (Butterworth, zero phase); 0: none.",
-        "zero or positive", "Hz",
-    )  # fmt: skip
+    )
+    max_gap: NotNegative = option(
+        0.0,
+        "max_gap",
+        "Fill gaps up to this many seconds linearly; longer gaps cut.",
+    )
+    smoothing_cutoff: NotNegative | None = option(
+        None,
+        "smoothing",
+        "Low-pass cutoff in Hz (Butterworth, zero phase); 0: none.",
+    )
     drop_jumps: bool = option(
         False, "drop_jumps/keep_jumps", "Turn jumps into gaps, or only flag them."
     )
@@ -68,7 +70,7 @@ class Cleaning:
             object.__setattr__(self, "heading", pair)
         if self.smoothing_cutoff == 0:
             object.__setattr__(self, "smoothing_cutoff", None)
-        check_options(self)
+        super().__post_init__()
 
 
 def clean(
@@ -279,35 +281,37 @@ def resample(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scaling:
+class Scaling(Checked):
     """How positions become arena units."""
 
     shape: Literal["square", "disc", "open"] = option(
         "square", "arena", "square (half side 1), disc (radius 1) or open (no edge)."
     )
-    width: float | None = option(
-        None, "arena_width", "Side or diameter in the file's unit; default: extent of the tracks.",
-        "a positive number",
-    )  # fmt: skip
+    width: Positive | None = option(
+        None,
+        "arena_width",
+        "Side or diameter in the file's unit; default: extent of the tracks.",
+    )
     centre: tuple[float, float] | None = option(
         None, "centre", "Centre x,y of the arena in the file's unit; default: found."
     )
     each: bool = option(False, "scale_each", "Scale each recording by its own extent.")
-    px_per_cm: float | None = option(
-        None, "px_per_cm", "The file's units per cm; all lengths are then in cm.",
-        "a positive number",
-    )  # fmt: skip
-    units_per_arena_unit: float | None = option(
-        None, "units",
+    px_per_cm: Positive | None = option(
+        None,
+        "px_per_cm",
+        "The file's units per cm; all lengths are then in cm.",
+    )
+    units_per_arena_unit: Positive | None = option(
+        None,
+        "units",
         "Open arena: the file's units per arena unit; default: half the extent, 1 for a source.",
-        "a positive number",
-    )  # fmt: skip
-    boundary: float = option(
-        1.1, "boundary", "Individuals beyond it are out, in arena units.", "positive"
+    )
+    boundary: PositiveOrInfinite = option(
+        1.1, "boundary", "Individuals beyond it are out, in arena units."
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         if self.centre is not None:
             require(len(self.centre) == 2, f"centre is {self.centre}: give x and y")
             object.__setattr__(self, "centre", (float(self.centre[0]), float(self.centre[1])))

@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_options, option
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
 from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import Floats, runs
 from animarl_envs.importing.tables import read_rows
+from animarl_envs.settings import Checked, NotNegative, PositiveOrInfinite, option
 
 FEWEST_PIECES = 10
 FEWEST_ENDS = 5  # recordings that say how recordings end
@@ -35,13 +35,15 @@ ROUNDING = 1e-9  # relative difference of distances that a change of unit makes
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cutting:
+class Cutting(Checked):
     """Where episodes begin and end, by the distance of the nearest pursuer to the target."""
 
     mode: Literal["whole", "approach", "events"] = option(
-        "whole", "cut", "whole: each stretch without gaps; approach: from --farther-than to "
+        "whole",
+        "cut",
+        "whole: each stretch without gaps; approach: from --farther-than to "
         "--closer-than; events: by the table of --events.",
-    )  # fmt: skip
+    )
     farther_than: float | None = option(
         None, "farther_than", "Distance at which an approach starts, in arena units."
     )
@@ -49,31 +51,38 @@ class Cutting:
         None, "closer_than", "Distance at which an approach ends, in arena units."
     )
     start: Literal["separation", "approach"] = option(
-        "separation", "start", "approach: start at the separation (first frame that far away since "
+        "separation",
+        "start",
+        "approach: start at the separation (first frame that far away since "
         "the last contact) or at the approach (the last such frame).",
-    )  # fmt: skip
-    contact: float | None = option(
-        None, "contact", "whole, events: distance of contact, in arena units; 0: no contact; "
-        "default: found from how recordings end.", "zero or positive",
-    )  # fmt: skip
+    )
+    contact: NotNegative | None = option(
+        None,
+        "contact",
+        "whole, events: distance of contact, in arena units; 0: no contact; "
+        "default: found from how recordings end.",
+    )
     ends: Literal["auto", "contact", "left", "film"] = option(
-        "auto", "ends", "whole, events: what the end of a recording means: contact; left: an "
+        "auto",
+        "ends",
+        "whole, events: what the end of a recording means: contact; left: an "
         "animal left the field; film: nothing, it was stopped; default: contact where most "
         "recordings end within one distance, else film.",
-    )  # fmt: skip
-    piece: float | None = option(
-        None, "piece", "whole: cut into pieces of so many seconds; inf: never.",
-        "positive", "s",
-    )  # fmt: skip
-    longest: float = option(math.inf, "longest", "Leave longer episodes out, s.", "positive", "s")
-    keep_last: float = option(math.inf, "keep_last", "Keep only the last seconds.", "positive", "s")
-    shortest: float = option(0.0, "shortest", "Leave shorter ones out, s.", "zero or positive", "s")
+    )
+    piece: PositiveOrInfinite | None = option(
+        None,
+        "piece",
+        "whole: cut into pieces of so many seconds; inf: never.",
+    )
+    longest: PositiveOrInfinite = option(math.inf, "longest", "Leave longer episodes out, s.")
+    keep_last: PositiveOrInfinite = option(math.inf, "keep_last", "Keep only the last seconds.")
+    shortest: NotNegative = option(0.0, "shortest", "Leave shorter ones out, s.")
     events: str | None = option(
         None, "events", "Table: recording, start, end [s]; optional: condition, outcome."
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         far, near = self.farther_than, self.closer_than
         if self.mode == "approach":
             if far is None or near is None:

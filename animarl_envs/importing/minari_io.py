@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import plain
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
 from animarl_envs.demos.packaged import load_packaged, packaged_names
@@ -24,6 +23,7 @@ from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.files import refuse_special
 from animarl_envs.importing.hdf import open_hdf, read_dataset
 from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.settings import plain
 
 DATASET = "demonstrations-v0"
 DATA_FILE = "main_data.hdf5"

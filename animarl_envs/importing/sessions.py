@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import Splitting, split_recordings
 from animarl_envs.errors import InputError, require
@@ -22,6 +21,7 @@ from animarl_envs.importing.cutting import pursued_individual
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.tables import read_rows
 from animarl_envs.importing.tracks import Tracks
+from animarl_envs.settings import check_names
 from animarl_envs.wall import search_names
 
 COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs import files
-from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require, require_extra
 from animarl_envs.importing.table_layout import (
@@ -36,6 +35,7 @@ from animarl_envs.importing.table_layout import (
     layout_of_lines,
     split_cells,
 )
+from animarl_envs.settings import LONGEST_NAME
 
 EXTENSIONS = (
     ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq",

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
+from animarl_envs.settings import check_names
 
 CENTROID = "centroid"
 TOGETHER = 0.1  # share of frames with everybody, below which nobody needs them all at once

@@ -11,15 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import (
-    AnyNumber,
-    CountingNumber,
-    ZeroOrMore,
-    ZeroOrPositive,
-    check_options,
-)
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.settings import Count, CountOrZero, NotNegative, Positive, check_fields
 from animarl_envs.species.traits import Traits
 
 COMPACT = "compact"
@@ -63,13 +57,13 @@ class Species(ABC):
     individuals: tuple[str, ...]
     locomotion: tuple[Locomotion, ...]  # one per individual
     arena: Arena
-    contact_radius: float  # [arena unit]
-    dt: float  # one decision step [s]
-    time_limit: CountingNumber  # [steps]
-    warmup: ZeroOrMore = 0  # steps replayed from the demonstration
+    contact_radius: Positive  # [arena unit]
+    dt: Positive  # one decision step [s]
+    time_limit: Count  # [steps]
+    warmup: CountOrZero = 0  # steps replayed from the demonstration
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
-    boundary_penalty: AnyNumber = -10.0
-    time_cost: ZeroOrPositive = 0.0  # what a whole episode costs pursuer or searcher, in captures
+    boundary_penalty: float = -10.0
+    time_cost: NotNegative = 0.0  # what a whole episode costs pursuer or searcher, in captures
     observation: str = "full"  # one of ``observations``
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     traits: Traits | None = None  # in which individuals differ; None: they are all alike
@@ -99,7 +93,7 @@ class Species(ABC):
                 f"the individuals have different numbers of thrust magnitudes ({listed}): give all "
                 "the same number"
             )
-        check_options(self)
+        check_fields(self)
         if self.warmup >= self.time_limit:
             raise InputError(
                 f"warmup is {self.warmup} steps: give fewer than the time limit, {self.time_limit}"

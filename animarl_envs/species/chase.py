@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from animarl_envs.checks import ZeroOrMore
 from animarl_envs.errors import InputError
+from animarl_envs.settings import CountOrZero, Positive
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, turnings_of
 
@@ -25,7 +25,7 @@ class ChaseSpecies(Species):
     world: ClassVar[str] = "chase"
     script: ClassVar[str] = "evade"
 
-    start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
+    start_half_side: Positive = 0.5  # starts without a demonstration: uniform in a square, at rest
     senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
     senses_compass: bool = True  # without it "full" holds nothing that depends on where north is
     senses_time: bool = False  # adds the time since the start, where it tells how one moves
@@ -36,7 +36,7 @@ class ChaseSpecies(Species):
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
     free: bool = False  # nobody is pursued: each goes its own way, and contact ends nothing
-    neighbours: ZeroOrMore = 4  # how many of the others a free animal sees, the nearest
+    neighbours: CountOrZero = 4  # how many of the others a free animal sees, the nearest
     shoaling_reward: bool = (
         False  # pays a free animal for time within the contact radius of another
     )

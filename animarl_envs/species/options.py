@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 from typing import Any, get_args
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
+from animarl_envs.settings import is_number, is_whole
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.species.base import Reading
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from annotated_types import Ge, Le, Lt
 
-from animarl_envs.checks import ZeroOrPositive, is_number, is_whole
 from animarl_envs.errors import InputError
+from animarl_envs.settings import NotNegative, Positive, is_number, is_whole
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, as_turning
 
@@ -26,20 +27,20 @@ class SearchSpecies(Species):
     condition_is_sensed: ClassVar[bool] = True
     observations: ClassVar[tuple[str, ...]] = (*Species.observations, "odour")
 
-    metres_per_unit: float = 1.0  # the plume is in metres
-    start_distance: float = 0.3  # downwind of the source [arena unit]
+    metres_per_unit: Positive = 1.0  # the plume is in metres
+    start_distance: Positive = 0.3  # downwind of the source [arena unit]
     start_region: tuple[float, ...] = ()  # or anywhere: lowest and highest x, and highest |y|
-    antenna_length: float = 0.013  # ahead of the body centre [arena unit]
-    antenna_angle: Annotated[float, "from 0 to 90 degrees"] = 19.0  # to either side [deg]
-    antenna_radius: ZeroOrPositive = 0.0025  # within which it senses the plume [arena unit]
-    odour_decay: float = 1.96  # time constant after the last hit [s]
-    odour_baseline: Annotated[float, "from 0 to below 1"] = 0.07
-    trace_decay: float = 10.0  # time constant of the slow trace of hits [s]
-    flow_threshold: ZeroOrPositive = 0.1  # yaw rates below it give no visual flow [rad/s]
-    flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
+    antenna_length: Positive = 0.013  # ahead of the body centre [arena unit]
+    antenna_angle: Annotated[float, Ge(0), Le(90)] = 19.0  # to either side [deg]
+    antenna_radius: NotNegative = 0.0025  # within which it senses the plume [arena unit]
+    odour_decay: Positive = 1.96  # time constant after the last hit [s]
+    odour_baseline: Annotated[float, Ge(0), Lt(1)] = 0.07
+    trace_decay: Positive = 10.0  # time constant of the slow trace of hits [s]
+    flow_threshold: NotNegative = 0.1  # yaw rates below it give no visual flow [rad/s]
+    flow_limit: Positive = 1.2  # visual flow is clipped here [rad/s]
     senses_past: bool = False  # adds its turning and its way averaged over the last seconds
     turning: Turning | None = None  # of the body; None: it points where it walks
-    rest_speed: ZeroOrPositive = 1e-4  # slower bodies keep their heading [arena unit / s]
+    rest_speed: NotNegative = 1e-4  # slower bodies keep their heading [arena unit / s]
     plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
     train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
     test_plumes: tuple[int, ...] = (3, 4)  # ... and held out

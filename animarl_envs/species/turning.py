@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 
-from animarl_envs.checks import check_options
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Positive, check_fields
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,13 @@ class Turning:
         Speed about which walking begins to turn the body in full [arena unit / s], positive.
     """
 
-    persistence: Annotated[float, "from 0 to below 1"]
-    gain: Annotated[float, "above 0 and below pi"]
-    slip: Annotated[float, "from -pi to below pi"]
-    speed: float
+    persistence: Annotated[float, Ge(0), Lt(1)]
+    gain: Annotated[float, Gt(0), Lt(np.pi)]
+    slip: Annotated[float, Ge(-np.pi), Lt(np.pi)]
+    speed: Positive
 
     def __post_init__(self) -> None:
-        check_options(self, "turning's ")
+        check_fields(self, "turning's ")
 
     def next_turn(
         self,

@@ -14,11 +14,11 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_whole, plain
 from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, MissingExtraError, also_list_options_of
 from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
+from animarl_envs.settings import is_whole, plain
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.tasks import find_task
 from animarl_envs.worlds import make_world

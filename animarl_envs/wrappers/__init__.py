@@ -29,10 +29,10 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
-from animarl_envs.checks import is_number
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
+from animarl_envs.settings import is_number
 from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
 
 __all__ = [

@@ -13,7 +13,7 @@ from animarl_envs.errors import InputError, MissingExtraError, UnknownOptionErro
 
 HEAVY = (
     "numba", "torch", "matplotlib", "pandas", "scipy", "stable_baselines3", "animarl_algos",
-    "pygame", "imageio", "yaml", "h5py", "minari", "sleap_io", "movement",
+    "pydantic", "pygame", "imageio", "yaml", "h5py", "minari", "sleap_io", "movement",
 )  # fmt: skip
 # numba looks for yaml and scipy's BLAS by itself, where they are installed; not ours to change.
 NUMBA = "import numba; numba.njit(lambda x: x + 1)(1)"

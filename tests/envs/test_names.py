@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from refusals import refuses
 
-from animarl_envs.checks import LONGEST_NAME, check_names
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError, printable
 from animarl_envs.importing.readers import read, read_tracks
 from animarl_envs.importing.tracks import Tracks
+from animarl_envs.settings import LONGEST_NAME, check_names
 from tools.fuzz.layouts import BODIES, write_native
 
 ODD = (

@@ -24,7 +24,7 @@ ROOMS = (
     "animarl_envs.errors",
     "animarl_envs.files",
     "animarl_envs.wall",
-    "animarl_envs.checks",
+    "animarl_envs.settings",
     "animarl_envs.arena",
     "animarl_envs.locomotion",
     "animarl_envs.kinematics",
@@ -42,7 +42,6 @@ ROOMS = (
     "animarl_envs.views",
     "animarl_envs.wrappers",
     "animarl_envs",
-    "animarl_algos.checked",
     "animarl_algos.replay",
     "animarl_algos.losses",
     "animarl_algos.networks",
@@ -66,25 +65,25 @@ ALLOWED: dict[tuple[str, str], str] = {
 
 LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
-    "animarl_algos": 1_430,
+    "animarl_algos": 380,
     "animarl_algos.benchmark": 10_700,
-    "animarl_algos.cli": 17_300,
+    "animarl_algos.cli": 16_400,
     "animarl_algos.data": 8_300,
     "animarl_algos.evaluation": 40_450,
-    "animarl_algos.learner": 18_790,
+    "animarl_algos.learner": 17_700,
     "animarl_algos.losses": 3_200,
-    "animarl_algos.networks": 12_450,
+    "animarl_algos.networks": 12_000,
     "animarl_algos.recipes": 820,
     "animarl_algos.replay": 5_850,
     "animarl_algos.report": 13_800,
-    "animarl_algos.runs": 15_200,
+    "animarl_algos.runs": 13_200,
     "animarl_algos.whatif": 17_000,
     "animarl_algos.zoo": 3_030,
-    "animarl_envs": 14_450,
+    "animarl_envs": 15_200,
     "animarl_envs.demos": 8_500,
     "animarl_envs.drawing": 9_590,
     "animarl_envs.fitting": 12_600,
-    "animarl_envs.importing": 52_850,
+    "animarl_envs.importing": 52_700,
     "animarl_envs.species": 6_870,
     "animarl_envs.views": 6_270,
     "animarl_envs.worlds": 34_950,
@@ -95,7 +94,7 @@ ALL_TOKENS = 315_500
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 2_680
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 29_930
+TEST_LINES = 30_040
 """Most lines of Python in the tests; they are to be 24,000."""
 
 

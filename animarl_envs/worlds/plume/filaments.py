@@ -33,9 +33,9 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import CountingNumber, ZeroOrPositive, check_options
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Count, NotNegative, Positive, check_fields
 
 REACH = 3.0  # a filament is followed this many radii R from its centre
 TAIL = 3  # degrees of freedom of Student's t
@@ -51,29 +51,27 @@ class FilamentModel:
     Raises InputError if a constant is out of its range.
     """
 
-    puff_rate: float  # [Hz]
-    release_duration: (
-        ZeroOrPositive  # mean of the gamma-distributed release times within a puff [s]
-    )
-    filaments_per_puff: CountingNumber
-    advection_speed: float  # U [m/s]
-    speed_spread: ZeroOrPositive  # standard deviation of U_j / U [1]
-    source_spread: ZeroOrPositive  # scale of y0_j and z0_j [m]
-    direction_spread: ZeroOrPositive  # scale of v_j / U and w_j / U, a filament's own part [rad]
-    meander_spread: ZeroOrPositive  # standard deviation of the part that a puff shares [rad]
-    flatness: ZeroOrPositive  # z0_j and w_j are smaller than y0_j and v_j by this factor
-    meander_time: float  # over which the shared part persists [s]
-    initial_radius: float  # R_0 [m]
-    growth: ZeroOrPositive  # dR^2 / dt [m^2/s]
-    threshold: float  # in units of the fresh filament's central concentration
-    extent: float  # the plume is cut here, x [m]; the recorded fields ended there
-    half_width: float  # ... and here, |y| [m]
-    cell: float  # grid [m]
-    frame_rate: float  # [Hz]
-    period: float  # the sequence repeats after this time [s]
+    puff_rate: Positive  # [Hz]
+    release_duration: NotNegative  # mean of the gamma-distributed release times in a puff [s]
+    filaments_per_puff: Count
+    advection_speed: Positive  # U [m/s]
+    speed_spread: NotNegative  # standard deviation of U_j / U [1]
+    source_spread: NotNegative  # scale of y0_j and z0_j [m]
+    direction_spread: NotNegative  # scale of v_j / U and w_j / U, a filament's own part [rad]
+    meander_spread: NotNegative  # standard deviation of the part that a puff shares [rad]
+    flatness: NotNegative  # z0_j and w_j are smaller than y0_j and v_j by this factor
+    meander_time: Positive  # over which the shared part persists [s]
+    initial_radius: Positive  # R_0 [m]
+    growth: NotNegative  # dR^2 / dt [m^2/s]
+    threshold: Positive  # in units of the fresh filament's central concentration
+    extent: Positive  # the plume is cut here, x [m]; the recorded fields ended there
+    half_width: Positive  # ... and here, |y| [m]
+    cell: Positive  # grid [m]
+    frame_rate: Positive  # [Hz]
+    period: Positive  # the sequence repeats after this time [s]
 
     def __post_init__(self) -> None:
-        check_options(self, "plume constant ")
+        check_fields(self, "plume constant ")
         if abs(self.period * self.puff_rate - self.num_puffs) > 1e-9:
             raise InputError(
                 f"plume period {self.period} s holds {self.period * self.puff_rate:g} puffs: "

@@ -25,9 +25,9 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_envs.checks import AnyNumber, check_options
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError, require_extra
+from animarl_envs.settings import Positive, check_fields
 from animarl_envs.worlds.plume.filaments import FilamentModel, paint
 
 NUM_PATTERNS = 5
@@ -243,14 +243,14 @@ class MoviePlume(Plume):
 
     frames: NDArray[Any] | None
     path: Path | None
-    mm_per_pixel: float
+    mm_per_pixel: Positive
     source_pixel: tuple[int, ...]
-    frame_rate: float
-    threshold: AnyNumber
+    frame_rate: Positive
+    threshold: float
     num_patterns: int = 1
 
     def __post_init__(self) -> None:
-        check_options(self, "the plume movie's ")
+        check_fields(self, "the plume movie's ")
         whole = all(isinstance(v, int | np.integer) for v in self.source_pixel)
         if len(self.source_pixel) != 2 or not whole:
             raise InputError(

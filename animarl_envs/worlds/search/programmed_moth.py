@@ -22,11 +22,12 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
-from animarl_envs.checks import AnyNumber, ZeroOrPositive, check_options
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import next_velocity
+from animarl_envs.settings import NotNegative, Positive, check_fields
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.worlds.search.layout import Seen
 
@@ -44,24 +45,23 @@ class MothProgramme:
     figures (``docs/data/packaged_silkmoth.md``).
     """
 
-    surge: float = 1.17  # duration [s]
+    surge: Positive = 1.17  # duration [s]
     turns: tuple[float, ...] = (0.721, 3.7, 2.49)  # durations of the zigzag turns [s]
-    yaw_rate: float = 1.94  # of zigzag and loop [rad / s]
-    surge_speed: float = 0.0171  # [arena unit / s]
-    turn_speed: float = 0.00821  # [arena unit / s]
-    careful: Annotated[float, "above 0, at most 1"] = (
-        0.417  # share of the surge's speed with the wind not from ahead
-    )
-    odour_turn: AnyNumber = 1.01  # of the surge, towards the antenna that was hit [rad]
-    wind_turn: AnyNumber = 0.0226  # of the surge, into the wind, per step [rad]
-    motor_noise: ZeroOrPositive = 0.187  # standard deviation of the angle turned, per step [rad]
-    slip: ZeroOrPositive = 0.00299  # standard deviation of each velocity component [arena unit / s]
-    pace_spread: ZeroOrPositive = 0.138  # of moths: standard deviation of their log speed
-    pause_rate: ZeroOrPositive = 0.118  # how often a walking moth stops [1 / s]
-    pause: ZeroOrPositive = 1.39  # how long it then stands, on average [s]
+    yaw_rate: Positive = 1.94  # of zigzag and loop [rad / s]
+    surge_speed: Positive = 0.0171  # [arena unit / s]
+    turn_speed: Positive = 0.00821  # [arena unit / s]
+    # share of the surge's speed with the wind not from ahead
+    careful: Annotated[float, Gt(0), Le(1)] = 0.417
+    odour_turn: float = 1.01  # of the surge, towards the antenna that was hit [rad]
+    wind_turn: float = 0.0226  # of the surge, into the wind, per step [rad]
+    motor_noise: NotNegative = 0.187  # standard deviation of the angle turned, per step [rad]
+    slip: NotNegative = 0.00299  # standard deviation of each velocity component [arena unit / s]
+    pace_spread: NotNegative = 0.138  # of moths: standard deviation of their log speed
+    pause_rate: NotNegative = 0.118  # how often a walking moth stops [1 / s]
+    pause: NotNegative = 1.39  # how long it then stands, on average [s]
 
     def __post_init__(self) -> None:
-        check_options(self)
+        check_fields(self)
         if not all(0 < t < math.inf for t in self.turns):
             raise InputError(f"turns are {self.turns}: give positive durations in seconds")
 

@@ -30,6 +30,7 @@ from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import make_scenario
+from animarl_envs.settings import describe_fields
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world
 
@@ -307,5 +308,5 @@ def test_what_was_chosen_stands_in_the_run(tmp_path: Path) -> None:
 def test_a_recipe_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="cloning is 'exactly': choose among chosen, exact, exac"):
         RunSettings(species="fly", steps=1, cloning="exactly")
-    listed = str(RunSettings.model_fields["cloning"].description).replace("\n", " ")
+    listed = describe_fields(RunSettings)["cloning"]
     assert len(set(CLONINGS)) == 8 and all(f" {name}," in listed for name in CLONINGS)

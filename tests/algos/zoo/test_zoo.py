@@ -31,6 +31,7 @@ from animarl_algos.zoo.__main__ import main, register
 from animarl_algos.zoo.manager import sample_settings, slot_environment, validation_environment
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.settings import field_types
 
 AGENT = "AnimaRL/Agent-v0"
 CARTPOLE = ["--env", "CartPole-v1", "-n", "16", "--eval-episodes", "1"]
@@ -86,7 +87,7 @@ def test_optuna_chooses_settings_that_the_learner_knows(algo: str) -> None:
     wanted = {"dil": {"alpha"}, "cil": {"alpha", "lambda2"}, "aas": {"lambda3"}}
     kind = next((k for k in wanted if k in algo), "")
     assert weights == wanted.get(kind, set())
-    assert drawn.keys() <= LearnerFile.model_fields.keys()
+    assert drawn.keys() <= field_types(LearnerFile).keys()
 
 
 @pytest.mark.parametrize("species", SPECIES)

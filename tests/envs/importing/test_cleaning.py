@@ -302,7 +302,9 @@ def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None
     (tmp_path / "list.yaml").write_text("- 1")
     told = "no recipe: give one that 'animarl import' wrote beside"
     refuses(told, ImportRecipe.load, tmp_path / "list.yaml")
-    refuses("entry 'smothing' is unknown", ImportRecipe.from_dict, {"cleaning": {"smothing": 2}})
+    refuses(
+        "cleaning: 'smothing' is unknown", ImportRecipe.from_dict, {"cleaning": {"smothing": 2}}
+    )
     (tmp_path / "bad.yaml").write_text("a: [1\n")
     refuses("not valid YAML", ImportRecipe.load, tmp_path / "bad.yaml")
 

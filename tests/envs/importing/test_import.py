@@ -118,14 +118,17 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 20, "--target", "nobody", "--out", out), "no target 'nobody'"),
         (("--fps", 20, "--keypoint", "nose", "--out", out), "no keypoint 'nose'"),
         (("--fps", 20, "--option", "nonsense=1", "--out", out), "no option 'nonsense'"),
-        (("--fps", 0, "--out", out), "must be a positive number"),
+        (("--fps", 0, "--out", out), "frame_rate is 0.0: give a number above 0"),
         (("--fps", 20, "--decision-rate", 40, "--out", out), "no higher than that"),
         (("--fps", 20, "--farther-than", 1, "--out", out), "give both"),
         (("--fps", 20, "--species", "unicorn", "--out", out), "species 'unicorn' is unknown"),
         (("--fps", 20, "--split-seed", -1, "--out", out), "give zero or more"),
-        (("--fps", 20, "--contact", "nan", "--out", out), "contact is nan: it must be zero or pos"),
+        (
+            ("--fps", 20, "--contact", "nan", "--out", out),
+            "contact is nan: give a number of",
+        ),
         (("--fps", 20, "--arena", "triangle", "--out", out), "triangle"),
-        (("--fps", 20, "--smoothing", -1, "--out", out), "smoothing_cutoff is -1.0 Hz: it must be"),
+        (("--fps", 20, "--smoothing", -1, "--out", out), "smoothing_cutoff is -1.0: give"),
         (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
         (("--fps", 20, "--option", "unit={a: 1}", "--out", out), "give a name, such as mm"),
         (
@@ -281,7 +284,7 @@ def test_data_split_by_group_keeps_groups_together(tmp_path: Path) -> None:
         assert all(len(np.unique(demos.split[day == one])) == 1 for one in np.unique(day))
     for more, message in (
         (("--by", "group"), "needs a pattern"),
-        (("--by", "nonsense"), "is unknown"),
+        (("--by", "nonsense"), "by is 'nonsense': choose auto, recording"),
         (("--fractions", "0.5,0.2"), "add up to 1"),
         (("--fractions", "a,b,c"), "three numbers"),
         (("--by", "group", "--pattern", "("), "no regular expression"),

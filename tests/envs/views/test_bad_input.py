@@ -66,7 +66,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ),
     ("agent", {"boundary_penalty": NAN}, "boundary_penalty is nan"),
     ("agent", {"arena": -1.0}, "arena size is -1.0"),
-    ("agent", {"arena": "triangle"}, "'triangle' is unknown"),
+    ("agent", {"arena": "triangle"}, "arena shape is 'triangle': choose square, disc"),
     ("agent", {"arena": {"form": "disc"}}, "arena has no 'form'"),
     ("agent", {"arena": [1, 2]}, "arena is [1, 2]"),
     ("agent", {"rebound": "yes"}, "rebound is 'yes'"),
@@ -95,7 +95,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"demos": None, "individuals": ["a", "b"], "num_targets": 2}, "give one of the two"),
     ("agent", {"demos": None, "individuals": 3}, "give a name to each"),
     ("agent", {"demos": None, "individuals": "abc"}, "give a name to each"),
-    ("agent", {"demos": None, "lone_pursuer": 1}, "choose True or False"),
+    ("agent", {"demos": None, "lone_pursuer": 1}, "lone_pursuer is 1: give true or false"),
     ("agent", {"num_targets": 2}, "holds 1 target: choose at most 1, or start='uniform'"),
     # demonstrations of one's own
     ("custom", {}, "give demos="),
@@ -127,7 +127,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
         ({"sheep": {"gain": 1.0}}, "name persistence, gain"),
         ((0.5, None, None), "turning of dog_a is 0.5: give a Turning"),
     )),
-    ("custom", {"demos": dogs(2), "senses_heading": 1}, "senses_heading is 1: choose True or Fal"),
+    ("custom", {"demos": dogs(2), "senses_heading": 1}, "senses_heading is 1: give true or false"),
     # what is seen
     ("fly", {"observation": "rich"}, "observation is 'rich': choose one of 'compact', 'full', 'pa"),
     # observations that would be infinite
