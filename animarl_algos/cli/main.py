@@ -97,6 +97,7 @@ COMMANDS = {
     "report": Place("run", "report_command"),
     "export": Place("evaluate", "export_command"),
     "watch": Place("watch", "watch_command"),
+    "simulate": Place("simulate", "simulate_command"),
     "compile": Place("main", "compile_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
 }

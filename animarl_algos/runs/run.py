@@ -521,7 +521,7 @@ class Run:
     def simulate(
         self,
         *,
-        split: str = "test",
+        split: str | None = "test",
         repetitions: int = 5,
         condition: Condition = "demo",
         flag: Cue = "actual",
@@ -540,7 +540,7 @@ class Run:
         Parameters
         ----------
         split
-            Episodes start from each demonstration of it.
+            Episodes start from each demonstration of it; None: of all.
         repetitions
             Rollouts from each start.
         condition

@@ -19,7 +19,9 @@ from small_runs import few, made
 from animarl_algos.evaluation import Rollouts
 from animarl_algos.evaluation.comparison import TABLES
 from animarl_algos.evaluation.prepared import path_lengths
+from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run import Run
+from animarl_envs.importing.readers.registry import read_tracks
 
 METHODS = ("dqcil-pt", "dqdil-pt")
 
@@ -209,3 +211,18 @@ def test_a_full_disk_leaves_earlier_results(
     refused(done, "cannot be written", "make room")
     assert contents(tmp_path / "out") == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_simulated_tracks_are_written_as_import_reads_them(
+    animarl: Callable[..., Done], tmp_path: Path
+) -> None:
+    succeeded(animarl("simulate", "fly", "--repetitions", 2, "--out", "tracks.csv"))
+    succeeded(animarl("simulate", "fly", "--repetitions", 2, "--out", "tracks.parquet"))
+    table = pd.read_csv("tracks.csv", dtype={"condition": str})
+    pd.testing.assert_frame_equal(table, pd.read_parquet("tracks.parquet"))
+    rollouts = Run(model_folder("fly")).simulate(repetitions=2)
+    assert len(table) == rollouts.positions[..., 0].size
+    np.testing.assert_allclose(table[["x", "y"]], rollouts.positions.reshape(-1, 2), atol=1e-6)
+    tracks = read_tracks(tmp_path / "tracks.csv")
+    assert {(one.frame_rate, len(one.individuals)) for one in tracks} == {(10.0, 3)}
+    assert "choose .csv or .parquet" in refused(animarl("simulate", "fly", "--out", "a.txt"))
