@@ -94,6 +94,22 @@ def report_page() -> str:
 
 
 @cache
+def group_page() -> str:
+    """The page of a group, whose verdict has all columns that there are."""
+    rng, names = np.random.default_rng(0), ("one", "two", "three")
+    demos = episodes_along(
+        [walk(rng, 60) for _ in range(12)], individuals=names, roles=("pursuer",) * 3
+    )
+    rollouts = {
+        method: rollouts_along(
+            [walk(rng, 60) for _ in range(24)], demos, np.tile(np.arange(12), 2), method=method
+        )
+        for method in ("dqdil", "random", "blind", "untrained")
+    }
+    return rendered(bare_inputs(demos, rollouts))
+
+
+@cache
 def whatif_page() -> str:
     """The page of an answer: packaged agents told the other condition, beside their teams."""
     run = load_run("agent")

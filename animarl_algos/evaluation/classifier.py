@@ -501,7 +501,7 @@ def classify_all(
 ) -> Iterator[tuple[str, str, ClassifierResult]]:
     """Classify two seconds of motion, then order in time: name, label and result of each.
 
-    ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
+    ``sides`` is what two seconds are read beside, smoothed as the recordings; ``references`` are
     other recordings to show two seconds of, by default halves of the evaluated ones are compared;
     ``unit`` ``(starts,)`` is the recording of each start. With ``alone`` there is the area of the
     rollouts and nothing beside it.
@@ -535,7 +535,8 @@ def classify_all(
         found = classify(own, windows(counted), rng, importance=not alone, until_clear=alone)
         areas: dict[str, Interval] = {}
         if not alone:
-            areas = {k: classify(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
-            areas = {"among": among(own), **areas}
+            areas["among"] = among(own)
+        if not alone and key == AUC:
+            areas |= {k: classify(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
         auc = interval_over_recordings(found.auc, recordings)
         yield key, label, replace(found, auc=auc, areas=areas, units=recordings)

@@ -184,7 +184,7 @@ def forest(
 def rank_histograms(ranks: Mapping[str, Sequence[float]]) -> Figure:
     """Draw how often recordings have each rank among their rollouts; a dashed line is uniform."""
     edges = np.linspace(0.0, 1.0, RANK_BINS + 1)
-    with one_panel(3.4, 2.1, "", xlabel="Rank among the rollouts", ylabel="Share") as drawn:
+    with one_panel(4.6, 2.1, "", xlabel="Rank among the rollouts", ylabel="Share") as drawn:
         figure, panel = drawn
         for (name, values), colour, dashes in zip(
             ranks.items(), style.PURSUERS, cycle(style.DASHES)
@@ -194,7 +194,7 @@ def rank_histograms(ranks: Mapping[str, Sequence[float]]) -> Figure:
             panel.stairs(shares, edges, label=name, color=colour.hex, linestyle=dashes)
         panel.axhline(1 / RANK_BINS, **REFERENCE)
         panel.set_xlim(0.0, 1.0)
-        panel.legend(loc="best")
+        figure.legend(loc="outside right upper")
     return figure
 
 

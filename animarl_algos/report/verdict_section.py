@@ -13,7 +13,7 @@ from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
 from animarl_algos.evaluation.conditions import ComparedConditions
 from animarl_algos.evaluation.headline import compare_with_law, detectable_changes
-from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
+from animarl_algos.evaluation.metrics import KINDS, METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.realism import CEILING, REFERENCES
 from animarl_algos.evaluation.statistics import Interval, interval
 from animarl_algos.evaluation.verdict import Verdict
@@ -154,7 +154,7 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     whole = scores["component"].fillna("") == ""
     yield tabulate(
         "Realism",
-        {"Kind": lambda row: str(row["kind"]), **columns},
+        {"Kind": lambda row: lower_first(KINDS.get(row["kind"], row["kind"])), **columns},
         [("", scores[whole][::-1])],
         words.adapt(
             "How likely the recordings are under the rollouts from their own start, from 0 to 1 "

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from browser import listen
-from report_inputs import report_page, whatif_page
+from report_inputs import group_page, report_page, whatif_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -20,7 +20,8 @@ ENDINGS = ("contact by", "time-out", "target left", "a pursuer left")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("pages")
-    for name, page in (("report", report_page()), ("whatif", whatif_page())):
+    pages = {"report": report_page(), "whatif": whatif_page(), "group": group_page()}
+    for name, page in pages.items():
         (path / f"{name}.html").write_text(page, encoding="utf-8")
     return path
 
@@ -253,6 +254,17 @@ def test_a_phone_shows_what_the_verdict_says_of_each_row(open_page: Open) -> Non
     cell = page.locator("#verdict tbody tr:not(.group) td").first
     assert cell.bounding_box()["x"] < 250
     assert page.locator("#verdict thead th").nth(1).inner_text().startswith("Verdict")
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("name", ["report", "group"])
+def test_the_table_of_the_verdict_fits(open_page: Open, name: str, width: int) -> None:
+    page = open_page(width, name=name)
+    table = page.locator("#verdict .scroll").first
+    assert table.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
+    if name == "group":
+        titles = [title.split("\n")[0] for title in table.locator("thead th").all_text_contents()]
+        assert {"Law", "Random", "Strangers", "Blind"} <= {title.strip() for title in titles}
 
 
 CONTRASTS = """() => {
