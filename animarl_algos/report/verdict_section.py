@@ -89,7 +89,7 @@ def _headline(verdict: Verdict) -> str:
 
 
 def _evidence(verdict: Verdict) -> list[str]:
-    """Return sentences on the classifier, on what would have been seen, and on realism."""
+    """Return sentences on the classifier, on what would have been seen, and on a simple law."""
     rows, found = verdict.rows(), []
     if math.isfinite(verdict.auc.estimate):
         wrong = 100 * (1 - verdict.auc.estimate)
@@ -102,11 +102,6 @@ def _evidence(verdict: Verdict) -> list[str]:
         found.append(f"Smallest changes that so many recordings show: {', '.join(changes)}.")
     if said := compare_with_law(rows):
         found.append(said)
-    if math.isfinite(verdict.realism.estimate):
-        scores = {CALLED.get(name, name): v for name, v in verdict.realism_beside.items()}
-        beside = ", ".join(f"{name} {number(score)}" for name, score in scores.items())
-        said = f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
-        found.append(f"{said}.")
     return found
 
 
@@ -122,24 +117,21 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         ],
         words.adapt,
     )
-    yield Gallery(
-        [to_image(strip, words.adapt("Difference of every question in units of its tolerance"))],
-        words.adapt(
-            "Each question as the difference of simulated and recorded, in units of its tolerance, "
-            "with its interval; within the band it is alike. Arrows leave the picture."
-        ),
+    images = [to_image(strip, words.adapt("Difference of every question in its tolerances"))]
+    said = (
+        "Each question as the difference of simulated and recorded, in units of its tolerance, "
+        "with its interval; within the band it is alike. Arrows leave the picture."
     )
-    yield verdict_as_table(verdict, words)
     if verdict.ranks and math.isfinite(verdict.rank_p):
-        yield Gallery(
-            [to_image(rank_histograms(verdict.ranks), words.adapt("Ranks of the recordings"))],
-            words.adapt(
-                "Rank of each recording among the rollouts from its start (Besag and Clifford "
-                "1989): uniform for a perfect simulator, high at both ends where rollouts are too "
-                f"much alike. A perfect simulator's ranks are as uneven in "
-                f"{100 * verdict.rank_p:.2g} % of experiments."
-            ),
+        images.append(to_image(rank_histograms(verdict.ranks), "Ranks of the recordings"))
+        said += (
+            " Beside it the rank of each recording among the rollouts from its start (Besag and "
+            "Clifford 1989): uniform for a perfect simulator, high at both ends where rollouts are "
+            "too much alike. A perfect simulator's ranks are as uneven in "
+            f"{100 * verdict.rank_p:.2g} % of experiments."
         )
+    yield Gallery(images, words.adapt(said))
+    yield verdict_as_table(verdict, words)
     scores = verdict.components
     if scores is None or scores.empty:
         return
@@ -162,6 +154,7 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
             "of the rollouts: the recording itself, other recordings, and random actions."
         ),
         strong=lambda row: row["kind"] == "total",
+        folded="Realism score",
     )
     yield tabulate(
         "Realism by component",

@@ -147,8 +147,7 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
     if seeds == 1:
         sentences.append(
             "One training seed: the intervals speak of episodes like these, for the networks "
-            "trained here, not of what another training would give. The same command on another "
-            "processor is another training too: it moved a share by 3 points, an AUC by .04."
+            "trained here, not of what another training would give."
         )
     elif 1 < seeds < FEW_SEEDS:
         sentences.append(
