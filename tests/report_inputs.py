@@ -96,16 +96,11 @@ def report_page() -> str:
 @cache
 def group_page() -> str:
     """The page of a group, whose verdict has all columns that there are."""
-    rng, names = np.random.default_rng(0), ("one", "two", "three")
-    demos = episodes_along(
-        [walk(rng, 60) for _ in range(12)], individuals=names, roles=("pursuer",) * 3
-    )
-    rollouts = {
-        method: rollouts_along(
-            [walk(rng, 60) for _ in range(24)], demos, np.tile(np.arange(12), 2), method=method
-        )
-        for method in ("dqdil", "random", "blind", "untrained")
-    }
+    rng, start = np.random.default_rng(0), np.tile(np.arange(12), 2)
+    paths = [walk(rng, 60) for _ in start]
+    demos = episodes_along(paths[:12], roles=("pursuer",) * 3)
+    methods = ("dqdil", "random", "blind")
+    rollouts = {one: rollouts_along(paths, demos, start, method=one) for one in methods}
     return rendered(bare_inputs(demos, rollouts))
 
 

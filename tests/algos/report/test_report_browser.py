@@ -249,22 +249,13 @@ def test_the_first_column_stays_in_sight(open_page: Open) -> None:
     assert cell.bounding_box()["x"] == pytest.approx(left, abs=1)
 
 
-def test_a_phone_shows_what_the_verdict_says_of_each_row(open_page: Open) -> None:
-    page = open_page(390)
-    cell = page.locator("#verdict tbody tr:not(.group) td").first
-    assert cell.bounding_box()["x"] < 250
-    assert page.locator("#verdict thead th").nth(1).inner_text().startswith("Verdict")
-
-
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("name", ["report", "group"])
 def test_the_table_of_the_verdict_fits(open_page: Open, name: str, width: int) -> None:
-    page = open_page(width, name=name)
-    table = page.locator("#verdict .scroll").first
+    table = open_page(width, name=name).locator("#verdict .scroll").first
     assert table.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
-    if name == "group":
-        titles = [title.split("\n")[0] for title in table.locator("thead th").all_text_contents()]
-        assert {"Law", "Random", "Strangers", "Blind"} <= {title.strip() for title in titles}
+    shown = [one.inner_text() for one in table.locator("thead th").all() if one.is_visible()]
+    assert shown[1].startswith("Verdict") and (len(shown) >= 9) == (width > 390)
 
 
 CONTRASTS = """() => {
