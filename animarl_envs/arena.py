@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Positive, PositiveOrInfinite, check_fields
 
@@ -56,7 +57,7 @@ class Arena:
         """How far out an individual may be: the walls, or without them the boundary."""
         return self.size if self.rebound else self.boundary
 
-    def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> NDArray[np.bool_]:
+    def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> Bools:
         """Return whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
         if self.shape == "open":
             return np.ones(positions.shape[:-1], dtype=bool)

@@ -1,4 +1,4 @@
-"""How kernels are compiled, and where machine code is kept: under a key of all their sources.
+"""Compile kernels, and keep their machine code under a key of all their sources.
 
 Kernels inline each other across modules, but numba keeps the code of each under the date of its own
 file alone. So it is kept in a folder that is named after a hash of every source a kernel may hold a
@@ -86,7 +86,7 @@ event.register("numba:compile", Compilations())  # type: ignore[no-untyped-call]
 
 
 def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a kernel: machine code kept on disk, divisions by zero as NumPy's.
+    """Compile a kernel and keep its machine code on disk; divisions by zero are NumPy's.
 
     A decorator, with or without further options of ``numba.njit``.
     """
@@ -98,20 +98,20 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
 
 def inline_kernel(function: Callable[..., Any]) -> Any:
-    """Compile a part of a kernel, which Python never calls."""
-    return _inlined(function, PartCompiler)
+    """Compile a function that is inlined into kernels and never called from Python."""
+    return _inlined(function, InlineCompiler)
 
 
 def inline_wrapper(function: Callable[..., Any]) -> Any:
-    """Compile a part that does little but call others: those are optimised, and it is not."""
-    return _inlined(function, JointCompiler)
+    """Compile an inlined function that mainly calls others, which are optimised instead."""
+    return _inlined(function, WrapperCompiler)
 
 
-def _inlined(function: Callable[..., Any], compiler: type[PartCompiler]) -> Any:
+def _inlined(function: Callable[..., Any], compiler: type[InlineCompiler]) -> Any:
     options = {"forceinline": True, "cache": False, "no_cpython_wrapper": True}
     made = jit(function, pipeline_class=compiler, **options)
     if not _SETTINGS.DISABLE_JIT:
-        made.__class__ = PartDispatcher
+        made.__class__ = InlineDispatcher
     return made
 
 
@@ -120,54 +120,54 @@ def _inlined(function: Callable[..., Any], compiler: type[PartCompiler]) -> Any:
 # first step then took 15 % more processor time (AnimaRL/Agent-v0, numba 0.68.1).
 
 
-class PartLibrary(JITCodeLibrary):  # type: ignore[misc]
-    """Optimised code to be inlined; machine code is made of the kernels that it goes into."""
+class InlineLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Optimised code to be inlined; only the kernels that hold it become machine code."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """There is no machine code to point to."""
+        """Return no address, since there is no machine code."""
         self._ensure_finalized()  # type: ignore[no-untyped-call]
         return 0
 
     @property
-    def codegen(self) -> PartLibrary:
-        """Where numba puts the part's environment."""
+    def codegen(self) -> InlineLibrary:
+        """The keeper of the function's environment."""
         return self
 
     def set_env(self, env_name: str, env: object) -> None:
         """Keep nothing: what needs an environment, such as printing, has no place in a part."""
 
 
-class JointLibrary(PartLibrary):
+class WrapperLibrary(InlineLibrary):
     """Code to be inlined whose parts are optimised already."""
 
     def _optimize_final_module(self) -> None:
-        """Leave it to the kernel."""
+        """Leave the optimisation to the kernel."""
 
 
-class PartCompiler(Compiler):  # type: ignore[misc]
-    """A compiler of parts, which goes as far as their kernel needs."""
+class InlineCompiler(Compiler):  # type: ignore[misc]
+    """A compiler of inlined functions."""
 
-    library: type[PartLibrary] = PartLibrary
+    library: type[InlineLibrary] = InlineLibrary
 
     def define_pipelines(self) -> Any:
-        """Return numba's own, with a library that makes no machine code."""
+        """Return numba's pipelines with a library that makes no machine code."""
         codegen = self.state.targetctx.codegen()
         self.state.library = self.library(codegen, self.state.func_id.func_qualname)
         return super().define_pipelines()  # type: ignore[no-untyped-call]
 
 
-class JointCompiler(PartCompiler):
-    """A compiler of what calls parts."""
+class WrapperCompiler(InlineCompiler):
+    """A compiler of inlined functions that mainly call others."""
 
-    library = JointLibrary
+    library = WrapperLibrary
 
 
-class PartDispatcher(CPUDispatcher):  # type: ignore[misc]
-    """A part of a kernel: numba would crash if Python called it, since there is no way in."""
+class InlineDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """An inlined function, which Python cannot call: numba would crash."""
 
     def __call__(self, *_: Any) -> None:
         """Refuse the call."""
@@ -257,7 +257,7 @@ def _kernel_sources(roots: dict[str, Path]) -> list[Path]:
 
 
 def by_reference(make_reference: Callable[[Any], Any], parts: Any) -> Any:
-    """Return ``refer(parts)``, one object that a kernel takes in place of a tuple of many arrays.
+    """Return ``make_reference(parts)``, one object in place of a tuple of many arrays.
 
     Handing over the arrays one by one would take longer than the step of a single copy. Without
     compilation the tuple itself has the same attributes.

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -185,7 +186,7 @@ class DTWTracker:
         self,
         demos: Demonstrations | None,
         num_copies: int,
-        individuals: NDArray[np.int64],
+        individuals: Ints,
         scale: float,
         kind: str = "closeness",
     ) -> None:
@@ -211,7 +212,7 @@ class DTWTracker:
         self.final_minimum, self.final_aligned = self.row_minimum, self.aligned
         self._all = np.ones(num_copies, dtype=bool)
 
-    def started(self, world: Any, mask: NDArray[np.bool_]) -> None:
+    def started(self, world: Any, mask: Bools) -> None:
         """Initialise row 0 of the copies in ``mask``; no penalty is charged for it."""
         self._extend(world, mask, first=True)
 
@@ -228,7 +229,7 @@ class DTWTracker:
         else:
             self.penalty = self.final_minimum.copy()
 
-    def _charge_closeness(self, world: Any, before: NDArray[np.float64]) -> None:
+    def _charge_closeness(self, world: Any, before: Floats) -> None:
         """Pay for closeness while the recording lasts; afterwards take back the reward for lasting.
 
         Otherwise a target that stands apart would earn more by outliving its recording than by
@@ -241,7 +242,7 @@ class DTWTracker:
             elapsed = world.reward_components.index("elapsed")
             self.refund = np.where(over, world.components[:, self.individuals, elapsed], 0.0)
 
-    def _extend(self, world: Any, mask: NDArray[np.bool_], *, first: bool) -> None:
+    def _extend(self, world: Any, mask: Bools, *, first: bool) -> None:
         if (world.demo[mask] < 0).any():
             raise InputError(
                 "the DTW reward needs episodes that start from a demonstration: use start='demo'"

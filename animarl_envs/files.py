@@ -158,7 +158,7 @@ def unreadable_or_unwritable(error: OSError) -> str:
 
 
 def refuse_special(path: Path, instead: str = "copy its content into a file") -> None:
-    """Refuse what is no regular file, before opening it waits for ever: pipes, devices, links."""
+    """Refuse pipes, devices and broken links, on which opening would wait for ever."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -172,7 +172,7 @@ def refuse_special(path: Path, instead: str = "copy its content into a file") ->
 
 
 def read_regular(path: Path, most: int = LONGEST_RECORD) -> bytes:
-    """Return the content of a regular file, which may come from a stranger.
+    """Return the content of a regular file, which may be untrusted.
 
     Raises OSError if it cannot be opened. Raises InputError if it is a pipe, a device or a folder,
     or longer than ``most`` bytes.
@@ -206,12 +206,12 @@ def refuse_unfinished(path: Path) -> None:
 
 
 def allowed_bytes(size: int) -> int:
-    """Most bytes that arrays read from a file of ``size`` bytes may take."""
+    """Return the most bytes that arrays read from a file of ``size`` bytes may take."""
     return max(min(EXPANSION * size, FREELY), LARGE_EXPANSION * size) + ALLOWANCE
 
 
 def check_size(path: Path, size: int, what: str) -> None:
-    """Refuse ``size`` bytes of ``what`` if the file is too small to mean it."""
+    """Refuse ``size`` bytes of ``what`` if the file is too small for them."""
     own = path.stat().st_size
     require(
         size <= allowed_bytes(own),
@@ -234,7 +234,7 @@ def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
     Raises InputError if it is none, damaged, holds a pickle, or asks for more memory than it may.
     """
     refuse_special(path)
-    found, total = {}, 0
+    arrays, total = {}, 0
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -249,7 +249,7 @@ def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
                 plain = member.compress_type in PACKINGS
                 require(plain, f"{path}: {name} is packed unusually: save it with np.savez")
                 raw = archive.read(member)
-                found[name.removesuffix(".npy")] = load_npy(raw, path, name, unpickle)
+                arrays[name.removesuffix(".npy")] = load_npy(raw, path, name, unpickle)
     except (InputError, MemoryError):
         raise
     except Exception as error:  # whatever NumPy, zipfile and its decompressors raise
@@ -257,7 +257,7 @@ def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
             f"{path}: it is not a plain npz archive, or damaged or cut short "
             f"({type(error).__name__}): copy it again"
         ) from None
-    return found
+    return arrays
 
 
 def load_npy(raw: bytes, path: Path, member: str = "", unpickle: Unpickle | None = None) -> Any:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.compiling import inline_kernel, jit
 
 UPWIND = (-1.0, 0.0)
@@ -58,8 +59,8 @@ def direction_of(x, y):  # type: ignore[no-untyped-def]
 class FocusTable(NamedTuple):
     """What each individual's focus is, as kernels read it: see :func:`focus_table`."""
 
-    others: NDArray[np.bool_]  # (K, K), whose nearest it is
-    otherwise: NDArray[np.float64]  # (K, 2), the direction without any, or at distance zero
+    others: Bools  # (K, K), whose nearest it is
+    otherwise: Floats  # (K, 2), the direction without any, or at distance zero
     free: bool  # then the focus of each is its course
     share: float  # of a step in a course
 
@@ -109,7 +110,7 @@ def focus_directions(
     velocities: NDArray[np.floating] | None = None,
     steps: NDArray[np.integer] | None = None,
     dt: float = 1.0,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return unit vectors to each individual's focus, ``(..., individuals, 2)``, arena frame.
 
     ``positions`` are ``(..., individuals, 2)`` [arena unit]; of ``roles`` the target comes last, or
@@ -117,7 +118,7 @@ def focus_directions(
     from its ``velocities``, the ``steps`` since the start and their duration ``dt`` [s]; without
     them it has not moved yet. Where the distance is zero the direction is ``FALLBACK``.
     """
-    points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
+    points: Floats = np.asarray(positions, dtype=np.float64)
     frames = points.reshape(-1, *points.shape[-2:])
     if velocities is None or steps is None:
         velocities, steps = np.zeros_like(frames), np.zeros(len(frames), dtype=np.int64)
@@ -142,9 +143,7 @@ def lone_pursuer(roles: Sequence[str]) -> bool:
     return last == "pursuer" and set(many) == {"target"}
 
 
-def distances_to_target(
-    positions: NDArray[np.float64], roles: Sequence[str]
-) -> NDArray[np.float64]:
+def distances_to_target(positions: Floats, roles: Sequence[str]) -> Floats:
     """Return distances to the target ``(frames, pursuers)``; of a searcher to the source.
 
     Of a lone pursuer they are those to each target, ``(frames, targets)``.

@@ -62,7 +62,7 @@ def turn_between(before, after):  # type: ignore[no-untyped-def]
 
 @jit(forceinline=True)  # Python calls it, too
 def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
-    """Hold everybody at the walls: the velocity into the wall is lost, that along it kept.
+    """Hold individuals at the walls: the velocity into the wall is lost, that along it kept.
 
     Positions and velocities are ``(K, 2, B)``; ``field`` is ``(shape code, size, boundary)``.
     """

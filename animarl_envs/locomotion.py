@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Positive, Probability, check_fields, is_number, is_whole
 
@@ -39,12 +40,12 @@ MULTIPLES: dict[int, tuple[float, ...]] = {
     8: (2.3, 1.7, 1.3, 1.0, 0.75, 0.5, 0.3, 0.15),
 }
 """Measured best of fixed multiples of u, by the number of magnitudes."""
-ACTION_ANGLES: NDArray[np.float64] = -np.deg2rad(30.0) * np.arange(NUM_DIRECTIONS)
+ACTION_ANGLES: Floats = -np.deg2rad(30.0) * np.arange(NUM_DIRECTIONS)
 """Angle of the directions in the egocentric frame, counter-clockwise [rad]."""
 
 # Exact halves and zeros, so that a mirrored or rotated action is the mirrored or rotated vector.
 _C, _S = math.sqrt(3.0) / 2.0, 0.5
-ACTION_VECTORS: NDArray[np.float64] = np.array(
+ACTION_VECTORS: Floats = np.array(
     [
         (1.0, 0.0), (_C, -_S), (_S, -_C), (0.0, -1.0), (-_S, -_C), (-_C, -_S),
         (-1.0, 0.0), (-_C, _S), (-_S, _C), (0.0, 1.0), (_S, _C), (_C, _S),
@@ -68,7 +69,7 @@ def next_velocity(
 
 
 def residual(after: Value, before: Value, damping: float) -> Value:
-    """Return ``v' - (1 - d) v``: what the thrust added in a step, ``u a dt``.
+    """Return ``v' - (1 - d) v``, the velocity that the thrust added in a step, ``u a dt``.
 
     Works on scalars and arrays. Adding the 0 of no thrust keeps the sign of zeros as in
     :func:`next_velocity`.
@@ -109,7 +110,7 @@ class Locomotion:
         return NUM_DIRECTIONS * self.thrusts + 1
 
     @property
-    def action_vectors(self) -> NDArray[np.float64]:
+    def action_vectors(self) -> Floats:
         """``(12 M + 1, 2)``, egocentric frame, in multiples of the thrust; read-only."""
         return action_vectors(self.magnitudes)
 
@@ -147,7 +148,7 @@ def _checked_magnitudes(given: Sequence[float]) -> tuple[float, ...]:
 
 
 def check_thrusts(thrusts: Any) -> None:
-    """Refuse what is no number of thrust magnitudes."""
+    """Refuse a number of thrust magnitudes that is not allowed."""
     if not is_whole(thrusts) or not 1 <= thrusts <= MOST_THRUSTS:
         raise InputError(
             f"thrusts is {thrusts!r}: give a whole number of thrust magnitudes, 1 to {MOST_THRUSTS}"
@@ -162,7 +163,7 @@ def fixed_multiples(thrusts: int) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=256)
-def action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
+def action_vectors(magnitudes: tuple[float, ...]) -> Floats:
     """Return accelerations of all actions in the egocentric frame, ``(12 M + 1, 2)``; read-only."""
     pushes = [magnitude * ACTION_VECTORS[:NUM_DIRECTIONS] for magnitude in magnitudes]
     vectors = np.concatenate([*pushes, ACTION_VECTORS[COAST:]])
@@ -170,9 +171,7 @@ def action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
     return vectors
 
 
-def velocities(
-    positions: NDArray[np.floating], initial: NDArray[np.floating], dt: float
-) -> NDArray[np.float64]:
+def velocities(positions: NDArray[np.floating], initial: NDArray[np.floating], dt: float) -> Floats:
     """Return the velocity of the step that led to each position: ``v_t = (p_t - p_{t-1}) / dt``.
 
     Parameters
@@ -234,7 +233,7 @@ def apply_actions(
     focus: NDArray[np.floating],
     locomotion: Locomotion,
     dt: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return velocities ``(..., 2)`` one step after ``actions`` ``(...,)``.
 
     The other arrays are those of :func:`infer_actions`.
@@ -245,6 +244,6 @@ def apply_actions(
     return next_velocity(velocity, acceleration, locomotion.damping, locomotion.thrust, dt)
 
 
-def shorter_turn(end: NDArray[Any], start: NDArray[Any]) -> NDArray[np.float64]:
+def shorter_turn(end: NDArray[Any], start: NDArray[Any]) -> Floats:
     """Return turns between angles [rad] by the shorter way, in [-pi, pi)."""
     return np.asarray((end - start + np.pi) % (2.0 * np.pi) - np.pi)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError, also_list_options_of
@@ -66,7 +66,7 @@ class Scenario:
     species: Species
     demos: Demonstrations | None = None
     condition: Condition = "demo"
-    start: str | NDArray[np.float64] = "demo"
+    start: str | Floats = "demo"
     drivers: tuple[str, ...]
     observation_noise: NotNegative = 0.0
     observation_delay: CountOrZero = 0
@@ -107,7 +107,7 @@ class Scenario:
                     "others='scripted' or start='demo'"
                 )
 
-    def _checked_start(self) -> str | NDArray[np.float64]:
+    def _checked_start(self) -> str | Floats:
         species = self.species
         if isinstance(self.start, str):
             if self.start not in ("demo", "uniform"):
@@ -255,7 +255,7 @@ def _recorded_species(demos: Demonstrations | None, options: Mapping[str, Any]) 
 
 
 def refuse_other_species(demos: Demonstrations, species: str, option: str = "species") -> None:
-    """Refuse demonstrations of another of the package's species; names of one's own fit any.
+    """Refuse demonstrations of another species of the package; names of one's own fit any.
 
     ``option`` is where the user named the species.
 

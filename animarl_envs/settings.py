@@ -237,12 +237,12 @@ def _sentence(name: str, value: Any, hint: Any, error: Any) -> str:
     first = error.errors()[0]
     if first["type"] == "value_error":
         return f"{name} is {value!r}: {first['ctx']['error']}"
-    shown = _adapter(hint).json_schema()
-    inside = shown.get("additionalProperties"), shown.get("items")
+    schema = _adapter(hint).json_schema()
+    inside = schema.get("additionalProperties"), schema.get("items")
     if first["loc"] and any(isinstance(one, dict) for one in inside):
         name = f"{name} of {first['loc'][0]}" if inside[0] else f"one of {name}"
         return f"{name} is {first['input']!r}: {_describe_schema(inside[0] or inside[1])}"
-    return f"{name} is {value!r:.80}: {_describe_schema(shown)}"
+    return f"{name} is {value!r:.80}: {_describe_schema(schema)}"
 
 
 def describe(hint: Any) -> str:

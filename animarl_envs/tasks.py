@@ -26,7 +26,7 @@ class Task:
 
     @property
     def species(self) -> Species:
-        """The base with all changes that are its fields."""
+        """The base species with all changes that are its fields."""
         return with_options(self.base, **{k: v for k, v in self.changes.items() if k != "start"})
 
     @property

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.collect import Cue, Policy, WrappedPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_envs.compiling import jit
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.focus import FALLBACK
@@ -26,10 +26,6 @@ from animarl_envs.scenario import Condition, Scenario
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-from animarl_envs.worlds.chase import senses
-from animarl_envs.worlds.chase.headings import bodies_of
-from animarl_envs.worlds.chase.layout import observation_components
-from animarl_envs.worlds.chase.neighbours import neighbours_of
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 DISTANCE_QUANTILE = 0.95  # quantile of the distances of pursuers from the target in training
@@ -37,7 +33,6 @@ DISTANCE_QUANTILE = 0.95  # quantile of the distances of pursuers from the targe
 DISTANCE_FACTOR_OF_REMOVED = 1.05
 # From the nearest pursuer: training has nobody exactly behind another, and that alone would be new.
 ANGLE_OF_REMOVED = np.deg2rad(20.0)
-observe_all = jit(getattr(senses.observe, "py_func", senses.observe))  # a part, called from Python
 
 
 @dataclass(frozen=True)
@@ -152,19 +147,15 @@ class FewerWorld(ChaseWorld):
         super().__init__(scenario, num_copies)
         if self._disturbed:
             raise InputError("somebody is removed, but senses are noisy or late: leave one out")
-        everybody, self._farthest = present.everybody, farthest
-        self._own, number = list(present.own), everybody.num_individuals
+        number, self._farthest = present.everybody.num_individuals, farthest
+        self._own = list(present.own)
         self._absent = [i for i in range(number) if i not in self._own]
-        there = np.isin(np.arange(number), self._own)
-        self._all_senses = senses.senses_of(everybody, there)
-        self._all_neighbours = neighbours_of(everybody, num_copies)
-        self._all_bodies = bodies_of(everybody, num_copies)
-        self._branches = senses.branches_of(everybody)
-        self._shown = np.zeros(
-            (number, len(observation_components(everybody)), num_copies), dtype=np.float32
+        still = Scenario(
+            species=present.everybody, start=np.zeros((number, 2)), drivers=("action",) * number
         )
+        self._everybody = ChaseWorld(still, num_copies, self._own)
 
-    def _start(self, mask: NDArray[np.bool_]) -> None:
+    def _start(self, mask: Bools) -> None:
         super()._start(mask)
         self._show()
 
@@ -175,31 +166,18 @@ class FewerWorld(ChaseWorld):
     def _show(self) -> None:
         """Make the observations of those that are left, with the removed ones far away."""
         nearest, place = self._place_of_absent()
-        copies = np.arange(self.num_copies)
-        position, velocity, acceleration = (
-            self._with_absent(own) for own in (self._position, self._velocity, self._acceleration)
-        )
-        position[self._absent] = place.T
-        velocity[self._absent] = self._velocity[nearest, :, copies].T
-        past = np.zeros((len(self._past), *position.shape))
-        past[:, self._own] = self._past
-        towards = np.zeros_like(position)
-        observe_all(
-            position,
-            velocity,
-            acceleration,
-            past,
-            self.step_count,
-            towards,
-            self._all_bodies,
-            self._all_neighbours,
-            self._all_senses,
-            *self._branches,
-            self._shown,
-        )
-        self.observation = np.ascontiguousarray(self._shown[self._own].transpose(2, 0, 1))
+        whole, copies = self._everybody, np.arange(self.num_copies)
+        whole.position[:, self._own] = self.position
+        whole.velocity[:, self._own] = self.velocity
+        whole.acceleration[:, self._own] = self.acceleration
+        whole.past[:, :, self._own] = self.past
+        whole.position[:, self._absent] = place[:, None]
+        whole.velocity[:, self._absent] = self.velocity[copies, nearest][:, None]
+        whole.step_count[:] = self.step_count
+        whole._look()
+        self.observation = np.ascontiguousarray(whole.observation[:, self._own])
 
-    def _place_of_absent(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _place_of_absent(self) -> tuple[Ints, Floats]:
         """Return the pursuer nearest to the target in each copy, and the place beyond it."""
         target = self._position[-1]
         away = self._position[:-1] - target
@@ -211,11 +189,6 @@ class FewerWorld(ChaseWorld):
         turn = np.array([[cosine, sine], [-sine, cosine]])
         distance = np.maximum(DISTANCE_FACTOR_OF_REMOVED * length, self._farthest)
         return nearest, target.T + direction @ turn * distance
-
-    def _with_absent(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
-        whole = np.zeros((len(self._shown), *own.shape[1:]))
-        whole[self._own] = own
-        return whole
 
 
 class SubsetPolicy(WrappedPolicy):
@@ -248,7 +221,7 @@ class SubsetPolicy(WrappedPolicy):
         inner = getattr(self.policy, "remember", None)
         return state if inner is None else inner(state, self._for_all(executed))
 
-    def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
+    def leave_out(self, state: Any, over: Bools) -> Any:
         """Return the state without the slots of ended episodes."""
         inner = getattr(self.policy, "leave_out", None)
         return state if inner is None else inner(state, self._for_all(over))

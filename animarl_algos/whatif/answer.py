@@ -13,7 +13,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.metrics import METRICS, Metric
 from animarl_algos.evaluation.order_in_time import nearest_other
@@ -26,6 +25,7 @@ from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange,
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.thrust_search import LIMITS, ThrustSearch
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
@@ -34,8 +34,6 @@ from animarl_envs.scenario import Scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-
-Floats = NDArray[np.float64]
 
 REPETITIONS = 5
 MOST_TRIES = 24  # of the thrusts for wanted speeds
@@ -324,8 +322,8 @@ class _Comparison:
         species = change_world(self.species, **options)
         if scenario.removed:
             species = Present.without(species, scenario.removed).species
-        shown = true[1] if true is not None else None
-        return Answer(scenario, table, warning, reason, thrusts, changed, species, shown)
+        changed_truth = true[1] if true is not None else None
+        return Answer(scenario, table, warning, reason, thrusts, changed, species, changed_truth)
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world, cut as they were."""
@@ -425,7 +423,7 @@ class _Comparison:
             index = self.species.conditions.index(scenario.condition)
             counts = self.test.condition[changed.demo] != index
         recorded = Rollouts.from_demonstrations(self.test)
-        shown = np.unique(changed.demo[counts])
+        starts = np.unique(changed.demo[counts])
         measures = {q.name: q for q in quantities_of(changed, self.unit)}
         for quantity in self.quantities:
             if quantity.name not in measures:  # of a removed individual
@@ -437,7 +435,7 @@ class _Comparison:
             if other is not None:
                 further = self._mean(measure(other) - before, other.demo, counts).estimate
             baseline = self._mean(before, self.baseline.demo, counts).estimate
-            real = float(np.nanmean(quantity.values(recorded)[shown]))
+            real = float(np.nanmean(quantity.values(recorded)[starts]))
             comparable = quantity.values(self.comparable)
             gap = self._mean(comparable, self.comparable.demo, counts).estimate - real
             counted = np.where(counts, after - before, np.nan).reshape(len(self.runs), -1)
@@ -475,7 +473,7 @@ class _Comparison:
         values: tuple[Floats, Floats],
         changed: Rollouts,
         shifts: Floats,
-        counts: NDArray[np.bool_],
+        counts: Bools,
     ) -> dict[str, float]:
         """Return the true shift of a quantity, and the predicted minus the true one.
 
@@ -509,8 +507,8 @@ class _Comparison:
     def _mean(
         self,
         values: Floats,
-        demo: NDArray[np.int64],
-        counts: NDArray[np.bool_],
+        demo: Ints,
+        counts: Bools,
         runs: int | None = None,
     ) -> Interval:
         return mean_over_starts(

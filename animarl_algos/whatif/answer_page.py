@@ -51,7 +51,7 @@ RECORDED, UNCHANGED = "recorded", "unchanged"
 
 
 def save_answers(
-    found: WhatIf, folder: str | Path, *, command: str = "", versions: Mapping[str, str] = {}
+    result: WhatIf, folder: str | Path, *, command: str = "", versions: Mapping[str, str] = {}
 ) -> None:
     """Write tables, ``README.md``, ``report.html`` and figures, all or nothing.
 
@@ -61,42 +61,42 @@ def save_answers(
         What repeats the answer, and of which packages, for the page.
     """
     with all_files_or_none(folder) as part:
-        write_tables({"whatif": found.table}, part)
-        (part / "README.md").write_text(words(found), encoding="utf-8")
-        answer_page(found, command, versions).write(part)
+        write_tables({"whatif": result.table}, part)
+        (part / "README.md").write_text(words(result), encoding="utf-8")
+        answer_page(result, command, versions).write(part)
 
 
 # -- words ----------------------------------------------------------------------------------------
 
 
-def what_it_is(found: WhatIf) -> str:
+def what_it_is(result: WhatIf) -> str:
     """Return what kind of answer it is, and what its interval covers."""
-    table = found.table
+    table = result.table
     null = ""
     if table["p"].notna().any():
         null = ", of which p does: how often networks of permuted conditions shift as far"
     text = WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null)
-    truth = "" if found.truth is None else found.truth.description
-    return " ".join(filter(None, [text, truth, cut_note(found)]))
+    truth = "" if result.truth is None else result.truth.description
+    return " ".join(filter(None, [text, truth, cut_note(result)]))
 
 
-def cut_note(found: WhatIf) -> str:
+def cut_note(result: WhatIf) -> str:
     """Return how the gap treats recordings that were cut; empty if none was."""
-    cut = found.baseline.lengths.sum() > censored(found.baseline, found.demos).lengths.sum()
+    cut = result.baseline.lengths.sum() > censored(result.baseline, result.demos).lengths.sum()
     return CUT if cut else ""
 
 
-def words(found: WhatIf) -> str:
+def words(result: WhatIf) -> str:
     """Return what was found as Markdown to paste."""
-    lines = ["# What if", "", what_it_is(found), ""]
-    for answer in found.answers:
+    lines = ["# What if", "", what_it_is(result), ""]
+    for answer in result.answers:
         table = answer_table(answer)
         lines += [f"## {answer.scenario.name}", ""]
         lines += [f"{sentence}\n" for sentence in asides(answer)]
         columns = [column.replace("\n", " ") for column in table.columns]
         lines.append(markdown_table(columns, (row.cells for row in table.groups[0].rows)))
         lines += ["", *(f"- {sentence}" for sentence in findings(answer)), ""]
-    return "\n".join([*lines, *(f"{why}.\n" for why in found.unmet.values()), WARNINGS, ""])
+    return "\n".join([*lines, *(f"{why}.\n" for why in result.unmet.values()), WARNINGS, ""])
 
 
 def asides(answer: Answer) -> Iterator[str]:
@@ -115,81 +115,85 @@ def findings(answer: Answer) -> list[str]:
         return [GUESS]
     if (table["judged"] == NO_INTERVAL).all():
         return [f"{capitalised(NO_INTERVAL)}, so no shift can be distinguished from chance."]
-    found = []
+    sentences = []
     for _, row in table[table["finding"]].iterrows():
         size, *ends = (abs(_factor(row) * row[key]) for key in ("shift", "low", "high"))
         unit = "percentage points" if row["unit"] == "share" else row["unit"]
         truth = f"; the true shift is {_with_interval(row, 'true')} {unit}" if "true" in row else ""
-        found.append(
+        sentences.append(
             f"{capitalised(row['quantity'])} {row['judged']} by {size:.3g} {unit} "
             f"[{', '.join(f'{end:.3g}' for end in sorted(ends))}]{truth}."
         )
-    return found or ["No shift is clear of chance and of the gap."]
+    return sentences or ["No shift is clear of chance and of the gap."]
 
 
 # -- the page -------------------------------------------------------------------------------------
 
 
-def answer_page(found: WhatIf, command: str = "", versions: Mapping[str, str] = {}) -> page.Page:
+def answer_page(result: WhatIf, command: str = "", versions: Mapping[str, str] = {}) -> page.Page:
     """Return the page: findings and warnings, the player, shifts, figures, words to paste."""
     inputs = PageInputs(
-        demos=found.demos, species=found.species, command=command, versions=versions
+        demos=result.demos, species=result.species, command=command, versions=versions
     )
     shifts = answer_table(
-        *found.answers,
+        *result.answers,
         recorded=inputs.recorded,
         caption="Means over starts. Grey: no finding, because the shift is not clear of zero, "
         "smaller than the gap, or as large with permuted conditions (p). Hatched: behind a red "
         "warning.",
     )
-    names = [answer.scenario.name for answer in found.answers]
-    said = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in found.answers]
+    names = [answer.scenario.name for answer in result.answers]
+    sentences = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in result.answers]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    rollouts = f"{found.repetitions} from each start" + f" and of {found.runs} training seeds" * (
-        found.runs > 1
+    rollouts = f"{result.repetitions} from each start" + f" and of {result.runs} training seeds" * (
+        result.runs > 1
     )
     return page.Page(
         title=f"{names[0]}{more}",
         kind="What if?",
-        synthetic=found.demos.synthetic,
+        synthetic=result.demos.synthetic,
         facts=[
-            ("Species", found.species.name),
-            ("Starts", f"{len(found.demos)} test episodes"),
+            ("Species", result.species.name),
+            ("Starts", f"{len(result.demos)} test episodes"),
             ("Rollouts", rollouts),
-            ("Policies act by", "habit" if found.reading == "habit" else "knowing their bodies"),
+            ("Policies act by", "habit" if result.reading == "habit" else "knowing their bodies"),
         ],
-        lead=_lead(found),
-        player=_player(found, inputs),
+        lead=_lead(result),
+        player=_player(result, inputs),
         sections=[
-            page.Section("short", "In short", list(_in_short(found))),
+            page.Section("short", "In short", list(_in_short(result))),
             page.Section("shifts", "Shifts", [shifts]),
-            page.Section("figures", "Figures", [_figures(found)]),
+            page.Section("figures", "Figures", [_figures(result)]),
             page.Section("provenance", "How this was made", list(provenance(inputs, "page"))),
-            page.Section("paste", "To paste", list(to_paste(inputs, [what_it_is(found), *said]))),
+            page.Section(
+                "paste", "To paste", list(to_paste(inputs, [what_it_is(result), *sentences]))
+            ),
         ],
     )
 
 
-def _lead(found: WhatIf) -> page.Lead:
-    warnings = [answer.warning for answer in found.answers]
+def _lead(result: WhatIf) -> page.Lead:
+    warnings = [answer.warning for answer in result.answers]
     worst = next(one for one in (Caution.RED, Caution.SOME, Caution.NONE) if one in warnings)
-    first, *others = found.answers
-    headline, *said = findings(first)
+    first, *others = result.answers
+    headline, *sentences = findings(first)
     if others:
-        clear = sum(bool(answer.table["finding"].any()) for answer in found.answers)
-        headline, said = (
-            f"{clear} of {len(found.answers)} changes shift something beyond chance and beyond the "
-            "gap to the recordings.",
+        clear = sum(bool(answer.table["finding"].any()) for answer in result.answers)
+        headline, sentences = (
+            f"{clear} of {len(result.answers)} changes shift something beyond chance and beyond "
+            "the gap to the recordings.",
             [],
         )
-    cautions = [f"{a.scenario.name}: {a.reason}." for a in found.answers if a.reason]
+    cautions = [f"{a.scenario.name}: {a.reason}." for a in result.answers if a.reason]
     judgement = "the same behaviour in another world"
-    return page.Lead(judgement, *SIGNS[worst], headline, [*said, what_it_is(found)], cautions)
+    return page.Lead(judgement, *SIGNS[worst], headline, [*sentences, what_it_is(result)], cautions)
 
 
-def _in_short(found: WhatIf) -> Iterator[page.Block]:
-    said = [f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in found.answers]
-    yield page.Text([*said, *(f"{why}." for why in found.unmet.values())], "sentences")
+def _in_short(result: WhatIf) -> Iterator[page.Block]:
+    sentences = [
+        f"{a.scenario.name}: {' '.join([*findings(a), *asides(a)])}" for a in result.answers
+    ]
+    yield page.Text([*sentences, *(f"{why}." for why in result.unmet.values())], "sentences")
     yield page.Text(WARNINGS)
 
 
@@ -253,16 +257,16 @@ def _factor(row: pd.Series) -> float:
 # -- figures --------------------------------------------------------------------------------------
 
 
-def _figures(found: WhatIf) -> page.Gallery:
-    shifts = found.table.dropna(subset="quantity")
+def _figures(result: WhatIf) -> page.Gallery:
+    shifts = result.table.dropna(subset="quantity")
     images = list(_shift_images(shifts))
     caption = (
         "Shift of every quantity with its 95 % interval. The band is the gap between the unchanged "
         "simulation and the recordings. Grey: no finding. Hollow: behind a warning."
     )
-    if found.truth is not None:
+    if result.truth is not None:
         caption += " Beside each shift stands the true one."
-    doses = _doses(found)
+    doses = _doses(result)
     if doses is not None:
         images += _dose_images(shifts, *doses)
         caption += " Dose and response: changed means over the amount of the change, with the "
@@ -275,8 +279,8 @@ def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
     for quantity, rows in table.groupby("quantity", sort=False):
         names, columns = rows["scenario"].tolist(), ["shift", "low", "high", "gap"]
         shifts = dict(zip(names, map(Interval, rows["shift"], rows["low"], rows["high"])))
-        found = np.where(rows["finding"], style.BLUE.hex, style.MUTED.hex)
-        colours = dict(zip(names, found.tolist()))
+        tints = np.where(rows["finding"], style.BLUE.hex, style.MUTED.hex)
+        colours = dict(zip(names, tints.tolist()))
         if "true" in rows:
             ends = ["true", "true_low", "true_high"]
             columns += ends
@@ -297,11 +301,11 @@ def _shift_images(table: pd.DataFrame) -> Iterator[Image]:
         yield to_image(figure, f"Shift of {quantity} by change")
 
 
-def _doses(found: WhatIf) -> tuple[str, list[float]] | None:
+def _doses(result: WhatIf) -> tuple[str, list[float]] | None:
     """Return what a sweep changes and its doses; None unless one change has 3 doses or more."""
     doses: list[float] = []
     subjects = set()
-    for answer in found.answers:
+    for answer in result.answers:
         if len(answer.scenario.changes) != 1:
             return None
         (change,) = answer.scenario.changes
@@ -337,10 +341,10 @@ def _dose_images(table: pd.DataFrame, name: str, doses: list[float]) -> Iterator
 # -- the player -----------------------------------------------------------------------------------
 
 
-def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
+def _player(result: WhatIf, inputs: PageInputs) -> page.Player:
     """Play the unchanged world beside each change, and beside the recordings."""
-    played = found.answers[:MOST_PLAYED]
-    paired = found.truth is not None and found.truth.paired
+    played = result.answers[:MOST_PLAYED]
+    paired = result.truth is not None and result.truth.paired
     true = {k: one.true for k, one in enumerate(played) if paired and one.true is not None}
     views = []
     for k, answer in enumerate(played):
@@ -352,24 +356,24 @@ def _player(found: WhatIf, inputs: PageInputs) -> page.Player:
             team = f"{answer.scenario.name}: the team that made the recordings"
             views.append(player.view(f"true-{k}", team, f"true-{k}", title, key, changed))
     views.append(player.view(UNCHANGED, inputs.recorded, RECORDED, UNCHANGED, UNCHANGED))
-    recorded = Rollouts.from_demonstrations(found.demos)
-    quantity = next(quantities_of(found.species, unit_of(found.demos)))
+    recorded = Rollouts.from_demonstrations(result.demos)
+    quantity = next(quantities_of(result.species, unit_of(result.demos)))
     first = played[0].rollouts
-    shift = quantity.values(first) - quantity.values(found.baseline)
-    of_first = np.flatnonzero(found.baseline.repetition == 0)[: len(found.demos)]
+    shift = quantity.values(first) - quantity.values(result.baseline)
+    of_first = np.flatnonzero(result.baseline.repetition == 0)[: len(result.demos)]
     chosen = of_first[
         player.at_ranks(
-            shift[of_first], found.baseline.demo[of_first], player.middles(player.STARTS)
+            shift[of_first], result.baseline.demo[of_first], player.middles(player.STARTS)
         )
     ].tolist()
     scenes = []
     for i in chosen:
-        start = int(found.baseline.demo[i])
-        tracks = {RECORDED: (recorded, start), UNCHANGED: (found.baseline, i)}
+        start = int(result.baseline.demo[i])
+        tracks = {RECORDED: (recorded, start), UNCHANGED: (result.baseline, i)}
         tracks |= {f"change-{k}": (answer.rollouts, i) for k, answer in enumerate(played)}
         tracks |= {
             f"true-{k}": (made, int(np.argmax(made.demo == start))) for k, made in true.items()
         }
         scenes.append((f"Start {start}", tracks))
-    said = f"{len(scenes)} test starts, in both worlds with the same random numbers."
-    return player.play(inputs, scenes, views, said)
+    caption = f"{len(scenes)} test starts, in both worlds with the same random numbers."
+    return player.play(inputs, scenes, views, caption)

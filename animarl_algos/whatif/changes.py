@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
@@ -109,7 +109,7 @@ class ChangedWorld:
     @property
     def removed(self) -> tuple[str, ...]:
         """Individuals that are removed."""
-        return tuple(who for one in self.changes if one.what == REMOVE for who in one.individuals)
+        return tuple(name for one in self.changes if one.what == REMOVE for name in one.individuals)
 
     def move_starts(self, demos: Demonstrations, species: Species) -> Demonstrations:
         """Return the recordings with the changed starts, at rest.
@@ -124,18 +124,18 @@ class ChangedWorld:
         for change in self.changes:
             if change.what != START:
                 continue
-            who = [species.individuals.index(name) for name in change.individuals]
+            indices = [species.individuals.index(name) for name in change.individuals]
             place = _place(str(change.amount), unit_of(demos), change.text)
             if place is None:
                 assert isinstance(species, ChaseSpecies)
                 species.check_uniform_starts()
                 half = species.start_half_side
-                places = rng.uniform(-half, half, (len(demos), len(who), 2))
+                places = rng.uniform(-half, half, (len(demos), len(indices), 2))
             else:
-                places = np.broadcast_to(place, (len(demos), len(who), 2))
+                places = np.broadcast_to(place, (len(demos), len(indices), 2))
                 if not species.arena.contains(places).all():
                     raise InputError(f"{change.text!r}: it lies outside the field: start inside")
-            positions[first[:, None], who], velocity[:, who] = places, 0.0
+            positions[first[:, None], indices], velocity[:, indices] = places, 0.0
         return replace(demos, positions=positions, initial_velocity=velocity)
 
     def options(
@@ -167,10 +167,10 @@ class ChangedWorld:
                     what: dict[str, Any] = {change.what: new}
                     bodies[name] = replace(bodies[name], **what)
             elif change.what in TRAIT_COLUMNS:
-                who = [species.individuals.index(name) for name in change.individuals]
+                indices = [species.individuals.index(name) for name in change.individuals]
                 traits = options.get("traits", species.traits)
                 assert traits is not None  # else there is no such name
-                options["traits"] = _shift_traits(traits, who, change)
+                options["traits"] = _shift_traits(traits, indices, change)
             elif change.what in AIR:
                 plume = options.get(PLUME, getattr(species, PLUME))
                 options[PLUME] = _change_air(plume, change)
@@ -237,13 +237,13 @@ def parse_change(text: str, species: Species) -> list[Change]:
     named = subjects(species)
     if name not in named:
         raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
-    who, what = named[name]
+    individuals, what = named[name]
     if what in (CONDITION, PLUME, REMOVE, START):
         chosen = _choice(what, value, species, text)
-        return [Change((chosen,) if what == REMOVE else who, what, chosen, text)]
+        return [Change((chosen,) if what == REMOVE else individuals, what, chosen, text)]
     sweep = SWEEP.fullmatch(value)
     if sweep is None:
-        return [Change(who, what, _amount(value, text), text)]
+        return [Change(individuals, what, _amount(value, text), text)]
     first, last = (_amount(end, text) for end in sweep.groups()[:2])
     if (first.is_factor, first.unit) != (last.is_factor, last.unit):
         raise InputError(f"{text!r}: both ends of a sweep are of one kind, as in -20%..+20%/5")
@@ -252,7 +252,7 @@ def parse_change(text: str, species: Species) -> list[Change]:
         raise InputError(f"{text!r}: a sweep has 2 to {MAX_SCENARIOS} points")
     points = np.linspace(first.value, last.value, number).tolist()
     amounts = [replace(first, value=point) for point in points]
-    return [Change(who, what, one, f"{name}={_format_amount(one)}") for one in amounts]
+    return [Change(individuals, what, one, f"{name}={_format_amount(one)}") for one in amounts]
 
 
 def known(species: Species) -> str:
@@ -276,10 +276,10 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
         differ = np.isfinite(species.traits.scale)
         own += [name for name, column in TRAIT_COLUMNS.items() if differ[:, column].any()]
     named = {
-        f"{group}.{what}": (who, what)
-        for group, who in groups.items()
+        f"{group}.{what}": (members, what)
+        for group, members in groups.items()
         for what in own
-        if len(who) > 1 or group in species.individuals
+        if len(members) > 1 or group in species.individuals
     }
     world = ["arena", "contact", "time_limit", REMOVE] if isinstance(species, ChaseSpecies) else []
     if isinstance(species, SearchSpecies):
@@ -291,18 +291,18 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
     return named | {START: (species.individuals, START)} | {what: ((), what) for what in world}
 
 
-def _place(value: str, unit: Unit, text: str) -> NDArray[np.float64] | None:
+def _place(value: str, unit: Unit, text: str) -> Floats | None:
     """Return a place [arena unit]; None for places that are drawn at random."""
     if value == UNIFORM:
         return None
-    found = PLACE.fullmatch(value)
-    if found is None or found[3] not in ("", unit.name):
+    match = PLACE.fullmatch(value)
+    if match is None or match[3] not in ("", unit.name):
         raise InputError(
             f"{text!r}: {value!r} is no place: give {UNIFORM} or x,y such as 0.2,-0.1 (in arena "
             f"units, or with {unit.name} behind)"
         )
-    place = np.array([float(found[1]), float(found[2])])
-    return place / unit.per_arena_unit if found[3] else place
+    place = np.array([float(match[1]), float(match[2])])
+    return place / unit.per_arena_unit if match[3] else place
 
 
 def _choice(what: str, value: str, species: Species, text: str) -> str:
@@ -353,12 +353,12 @@ def _change_air(plume: Any, change: Change) -> Any:
 
 def _amount(value: str, text: str) -> Amount:
     value = value.strip()
-    if found := FACTOR.fullmatch(value):
-        amount = Amount(float(found[1]), True)
-    elif found := PERCENT.fullmatch(value):
-        amount = Amount(1.0 + float(found[1]) / 100.0, True)
-    elif found := ABSOLUTE.fullmatch(value):
-        amount = Amount(float(found[1]), False, found[2])
+    if match := FACTOR.fullmatch(value):
+        amount = Amount(float(match[1]), True)
+    elif match := PERCENT.fullmatch(value):
+        amount = Amount(1.0 + float(match[1]) / 100.0, True)
+    elif match := ABSOLUTE.fullmatch(value):
+        amount = Amount(float(match[1]), False, match[2])
     else:
         raise InputError(
             f"{text!r}: {value!r} is no amount: give a factor (x1.2), a change (+20%), a value "
@@ -380,14 +380,14 @@ def _check_once(changes: Iterable[Change]) -> None:
     """Refuse two changes of one thing; speed and thrust of an individual are one thing."""
     seen: dict[tuple[str, str], str] = {}
     changes = list(changes)
-    gone = {who for change in changes if change.what == REMOVE for who in change.individuals}
+    gone = {name for one in changes if one.what == REMOVE for name in one.individuals}
     for change in changes:
         what = "thrust" if change.what == "speed" else change.what
-        for who in change.individuals or ("",):
-            if who in gone and what in BODY:
-                raise InputError(f"{change.text!r} changes {who}, who is removed: leave one out")
-            if (who, what) in seen:
+        for name in change.individuals or ("",):
+            if name in gone and what in BODY:
+                raise InputError(f"{change.text!r} changes {name}, who is removed: leave one out")
+            if (name, what) in seen:
                 raise InputError(
-                    f"{seen[who, what]!r} and {change.text!r} change the same thing: give one"
+                    f"{seen[name, what]!r} and {change.text!r} change the same thing: give one"
                 )
-            seen[who, what] = change.text
+            seen[name, what] = change.text

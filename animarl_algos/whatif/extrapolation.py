@@ -15,16 +15,14 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.collect import Policy, WrappedPolicy
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.focus import is_free
 from animarl_envs.species import Species
 from animarl_envs.worlds import demonstration_observations, observation_components
 from animarl_envs.worlds.base import ObservationComponent
-
-Floats = NDArray[np.float64]
 
 TAIL = 0.001  # of the training inputs, on either side
 YELLOW, RED = 0.05, 0.25  # more steps beyond than in the unchanged world
@@ -122,7 +120,7 @@ class WatchedPolicy(WrappedPolicy):
         individuals, components = inputs.low.shape
         self.steps, self.beyond = np.zeros((2, individuals))
         self.sides = np.zeros((individuals, 2 * components))
-        self._pending: NDArray[np.bool_] | None = None
+        self._pending: Bools | None = None
 
     def rewrap(self, policy: Policy) -> WatchedPolicy:
         """Wrap another policy, and count into the same record."""
@@ -139,7 +137,7 @@ class WatchedPolicy(WrappedPolicy):
         self._alive = np.ones(self._pending.shape[:2], dtype=bool)
         return self.policy.predict(observation, *more, **known)
 
-    def leave_out(self, state: Any, ended: NDArray[np.bool_]) -> Any:
+    def leave_out(self, state: Any, ended: Bools) -> Any:
         """Do not count the slots of episodes that have ended."""
         self._alive &= ~ended.reshape(self._alive.shape)
         inner = getattr(self.policy, "leave_out", None)

@@ -141,7 +141,7 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
     if isinstance(species, ChaseSpecies):
         return model | {"senses": _chase_senses(species)}
     assert isinstance(species, SearchSpecies)
-    columns = {seen.name: int(seen) for seen in search_layout.Seen}
+    columns = {seen.name: int(seen) for seen in search_layout.SearchEntry}
     senses = search_kernels.senses_of(species)._asdict()
     plain = {name: v if isinstance(v, bool) else float(v) for name, v in senses.items()}
     return model | {"senses": {"columns": columns} | plain, "plume": _plume(species)}
@@ -284,7 +284,7 @@ def _recorded(test: Demonstrations, run: TrainedRun) -> dict[str, Any]:
 def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
     senses = chase_senses.senses_of(species, np.ones(species.num_individuals, dtype=bool))
     return {
-        "columns": {seen.name: int(seen) for seen in chase_layout.Seen},
+        "columns": {seen.name: int(seen) for seen in chase_layout.ChaseGroup},
         **{name: getattr(senses, name).tolist() for name in CHASE_SENSES},
         "near": senses.near,
         "scales": list(senses.scales),

@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.extrapolation import Caution
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
-
-Floats = NDArray[np.float64]
 
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
@@ -60,12 +58,12 @@ def share_as_large(shifts: Floats, null: Floats) -> Floats:
 
 def mean_over_starts(
     values: Floats,
-    demo: NDArray[np.int64],
+    demo: Ints,
     *,
     runs: int,
     test: Demonstrations,
     rng: np.random.Generator,
-    counts: NDArray[np.bool_],
+    counts: Bools,
 ) -> Interval:
     """Return a mean with its interval over recordings and training runs.
 

@@ -13,18 +13,16 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.teams import roll_out_teams, teams_of
 from animarl_algos.whatif.changes import ChangedWorld
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-
-Floats = NDArray[np.float64]
 
 RECORDINGS, TEAMS = "recordings", "teams"
 TEAM_SEED = 0

@@ -1,4 +1,4 @@
-"""Recorded episodes, with all that is known of them; checked when made."""
+"""Recorded episodes with their metadata, checked when they are made."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.episode import (
     HEADING,
     INTERVAL,
@@ -82,7 +83,7 @@ class Demonstrations(Episodes):
 
     species: str
     arena: Arena
-    initial_velocity: NDArray[np.float64]
+    initial_velocity: Floats
     split: NDArray[np.str_]
     recording: NDArray[np.str_]
     signals: Mapping[str, NDArray[Any]] = field(default_factory=dict)
@@ -153,17 +154,17 @@ class Demonstrations(Episodes):
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(i) for i in range(self.num_episodes))
 
-    def intervals(self, frames: slice = slice(None)) -> NDArray[np.float64]:
+    def intervals(self, frames: slice = slice(None)) -> Floats:
         """Return the time before each frame, ``(frames,)`` [s]: dt, or less at a last frame."""
         if INTERVAL in self.signals:
             return self.signals[INTERVAL][frames].astype(np.float64)
         return np.full(len(self.positions[frames]), self.dt)
 
-    def steps(self) -> NDArray[np.int64]:
+    def steps(self) -> Ints:
         """Return the steps since the start of its episode of each frame, ``(frames,)``."""
         return np.arange(len(self.positions)) - np.repeat(self.offsets[:-1], self.lengths)
 
-    def velocities(self) -> NDArray[np.float64]:
+    def velocities(self) -> Floats:
         """Return the velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
         out = velocities(self.positions, self.initial_velocity[0], self.dt)
         if INTERVAL in self.signals:
@@ -171,12 +172,12 @@ class Demonstrations(Episodes):
         out[self.offsets[:-1]] = self.initial_velocity
         return out
 
-    def focus(self) -> NDArray[np.float64]:
+    def focus(self) -> Floats:
         """Return unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
         velocities, steps = self.velocities(), self.steps()
         return focus_directions(self.positions, self.roles, velocities, steps, self.dt)
 
-    def headings(self) -> NDArray[np.float64] | None:
+    def headings(self) -> Floats | None:
         """Return recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].
 
         ``None`` where the signal ``heading`` is absent or has not a column for each individual.
@@ -186,7 +187,7 @@ class Demonstrations(Episodes):
             return None
         return heading.astype(np.float64).reshape(len(heading), -1)
 
-    def odour_hits(self) -> NDArray[np.bool_] | None:
+    def odour_hits(self) -> Bools | None:
         """Return hits of a searcher's left and right antenna since the last frame, ``(frames, 2)``.
 
         ``None`` where they were not recorded.
@@ -209,7 +210,7 @@ class Demonstrations(Episodes):
         split: str | None = None,
         condition: int | None = None,
     ) -> Self:
-        """Return the episodes that fulfil all that is given, in the order of ``episodes``."""
+        """Return the episodes that meet all conditions given, in the order of ``episodes``."""
         chosen = np.arange(len(self))
         if episodes is not None:
             chosen = chosen[np.asarray(episodes)]
@@ -252,12 +253,12 @@ class Demonstrations(Episodes):
             signals=signals,
         )
 
-    def _frames(self, frames: NDArray[np.int64]) -> dict[str, Any]:
+    def _frames(self, frames: Ints) -> dict[str, Any]:
         signals = {key: value[frames] for key, value in self.signals.items()}
         return super()._frames(frames) | {"signals": signals}
 
     def fingerprint(self) -> str:
-        """SHA-256 of the content (not of the provenance), 16 hexadecimal digits."""
+        """Return a hash of the content, without the provenance: 16 hexadecimal digits."""
         digest = hashlib.sha256()
         head = [self.species, self.individuals, self.roles, self.dt, vars(self.arena)]
         digest.update(json.dumps(head, sort_keys=True).encode())

@@ -1,4 +1,4 @@
-"""Episodes: the codes of how they end, one of them, and many laid end to end in one container.
+"""Episodes: outcome codes, a single episode, and a container of many.
 
 Recorded episodes (:class:`animarl_envs.demos.demonstrations.Demonstrations`) and simulated ones
 (``animarl_algos.evaluation.rollouts.Rollouts``) are checked, selected, joined and stored alike, as
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs import wall
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import allowed_bytes, read_npz, refuse_special, write_then_rename
 from animarl_envs.focus import is_free
@@ -58,8 +59,8 @@ class Episode:
     """
 
     index: int
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
+    positions: Floats
+    velocities: Floats
     signals: Mapping[str, NDArray[Any]]
     condition: int
     outcome: int
@@ -107,8 +108,8 @@ class Episodes(ABC):
     individuals: tuple[str, ...]
     roles: tuple[str, ...]
     dt: float
-    positions: NDArray[np.float64]
-    lengths: NDArray[np.int64]
+    positions: Floats
+    lengths: Ints
     outcome: NDArray[np.int8]
     condition: NDArray[np.int8]
 
@@ -181,18 +182,18 @@ class Episodes(ABC):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Names of those who are described apart; of a group one name for all of its animals."""
+        """Names of the individuals that are described separately; a group has one for all."""
         return (f"each of {self.num_individuals}",) if self.is_group else self.individuals
 
     @property
-    def offsets(self) -> NDArray[np.int64]:
+    def offsets(self) -> Ints:
         """First frame of each episode, and one past the last: ``(episodes + 1,)``."""
         return np.concatenate([[0], np.cumsum(self.lengths)])
 
     def __len__(self) -> int:
         return len(self.lengths)
 
-    def path(self, index: int) -> NDArray[np.float64]:
+    def path(self, index: int) -> Floats:
         """Return the positions of one episode, ``(frames, individuals, 2)``."""
         start = int(self.offsets[index])
         return self.positions[start : start + int(self.lengths[index])]
@@ -210,13 +211,13 @@ class Episodes(ABC):
         each = {key: getattr(self, key)[index] for key in self.EACH}
         return replace(self, **self._frames(frames), **each)
 
-    def _frames(self, frames: NDArray[np.int64]) -> dict[str, Any]:
+    def _frames(self, frames: Ints) -> dict[str, Any]:
         """Return everything that has an entry per frame, at these frames."""
         return {"positions": self.positions[frames]}
 
     @classmethod
     def joined_arrays(cls, parts: Sequence[Self]) -> dict[str, Any]:
-        """Return positions and all arrays per episode, those of one part after the other's."""
+        """Return positions and all arrays per episode, concatenated over the parts."""
         return {
             key: np.concatenate([getattr(part, key) for part in parts])
             for key in ("positions", *cls.EACH)
@@ -330,8 +331,6 @@ def refusing_damage(
     except Exception as e:
         raise InputError(f"{path}: its content is damaged ({type(e).__name__}: {e}): {fix}") from e
 
-
-Floats = NDArray[np.float64]
 
 MIN_GRID_COORDINATES = 20  # distinct coordinates; fewer lie on a grid by chance
 FINEST = 2.0**-24  # of their range: finer steps are what single precision rounds to

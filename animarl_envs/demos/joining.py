@@ -1,4 +1,4 @@
-"""Several sets of demonstrations as one, and sets of many individuals as sets of fewer."""
+"""Join sets of demonstrations, and leave individuals of a set out."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -85,7 +85,7 @@ def _refuse_unlike(first: Demonstrations, part: Demonstrations) -> None:
 
 
 def _recording_names(parts: Sequence[Demonstrations]) -> list[Mapping[str, str]]:
-    """Return new names of recordings of which several sets have one."""
+    """Return new names of recordings whose name occurs in several sets."""
     sets = Counter(name for part in parts for name in np.unique(part.recording).tolist())
     stems = [Path(part.name).stem for part in parts]
     if len(set(stems)) < len(stems):

@@ -1,12 +1,12 @@
-"""Demonstrations at a glance: a table per episode, the whole set in numbers, and in which unit."""
+"""Summaries of demonstrations: a table of episodes, numbers of the set, its unit of length."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED, PURSUER_OUT, TARGET_OUT, TIME_OUT, Episodes
 from animarl_envs.focus import distances_to_target, is_free
@@ -79,7 +79,7 @@ def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
     return rows
 
 
-def persistence(demos: Demonstrations) -> NDArray[np.float64]:
+def persistence(demos: Demonstrations) -> Floats:
     """Return the share of a step that the next one repeats, one number for each of ``demos.kinds``.
 
     The slope of the next step on the present one: 1 of steady motion, less of tracks that jump to
@@ -98,7 +98,7 @@ def persistence(demos: Demonstrations) -> NDArray[np.float64]:
     return np.asarray(kept)
 
 
-def tracking_noise(paths: Iterable[NDArray[np.float64]]) -> float:
+def tracking_noise(paths: Iterable[Floats]) -> float:
     """Return the standard deviation of white noise of positions, per axis [arena unit].
 
     White noise makes successive accelerations anti-correlated: their covariance at lag one is -4
@@ -110,7 +110,7 @@ def tracking_noise(paths: Iterable[NDArray[np.float64]]) -> float:
 
 
 def tracking_counts(demos: Demonstrations) -> dict[str, int]:
-    """Return in how many frames something was flagged, by what, where the tracks were cleaned."""
+    """Return the number of flagged frames by kind, where the tracks were cleaned."""
     cleaning: Mapping[str, Any] = demos.provenance.get("cleaning") or {}
     flagged = {}
     for key in TRACKING:

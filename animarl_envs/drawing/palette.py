@@ -12,7 +12,8 @@ measure nothing.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from animarl_envs.array_types import Floats
 
 RGB = tuple[int, int, int]
 
@@ -57,7 +58,7 @@ def to_hex(colour: RGB) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-Outline = NDArray[np.float64]
+Outline = Floats
 WING, PALE = 0.5, 0.85  # shares of white
 
 

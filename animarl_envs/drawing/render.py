@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.summary import RECORDED_SCALE
 from animarl_envs.drawing import palette
 from animarl_envs.drawing.palette import BODIES, RGB, colour_of
@@ -57,7 +58,7 @@ ARROW = np.array(
 )
 
 
-class View(NamedTuple):
+class Window(NamedTuple):
     """A square window on the arena frame [arena unit]."""
 
     x: float
@@ -65,7 +66,7 @@ class View(NamedTuple):
     half: float
 
 
-def view_of(scene: Scene) -> View:
+def window_of(scene: Scene) -> Window:
     """Return what is in view: the arena with its boundary; in the open source, plume and start.
 
     It widens in steps when somebody leaves it, and in an open field moves in steps to the middle
@@ -77,7 +78,7 @@ def view_of(scene: Scene) -> View:
         half = min(arena.boundary, WIDEST_BOUNDARY * arena.size) * MARGIN
         while float(np.abs(seen).max()) * 1.02 > half:
             half *= ZOOM_STEP
-        return View(0.0, 0.0, half)
+        return Window(0.0, 0.0, half)
     known = np.concatenate([scene.trails[:1].reshape(-1, 2), np.zeros((1, 2))])
     middle, reach = _middle(known)
     half = max(reach * 1.35, arena.size * 0.6) * MARGIN
@@ -86,7 +87,7 @@ def view_of(scene: Scene) -> View:
         while reach * MARGIN + half * MOVE_STEP / 2 > half:
             half *= ZOOM_STEP
         middle = np.round(middle / (half * MOVE_STEP)) * (half * MOVE_STEP)
-    return View(float(middle[0]), float(middle[1]), half)
+    return Window(float(middle[0]), float(middle[1]), half)
 
 
 def _middle(points: Points) -> tuple[Points, float]:
@@ -137,7 +138,7 @@ class Renderer:
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Draw a scene: ``(height, width, 3)`` uint8 as an array, or ``None`` in a window."""
-        self._view = view_of(scene)
+        self._view = window_of(scene)
         self._scale = self.size / (2 * self._view.half)  # [px per arena unit]
         self._draw_ground(scene)
         self._page.set_clip((0, 0, self.size, self.size))
@@ -187,7 +188,7 @@ class Renderer:
 
     # -- shapes -----------------------------------------------------------------------------------
 
-    def _at(self, points: Points) -> NDArray[np.float64]:
+    def _at(self, points: Points) -> Floats:
         """Return pixel coordinates of points ``(..., 2)`` of the arena frame."""
         flipped = (points - np.array(self._view[:2])) * (self._scale, -self._scale)
         return np.asarray(flipped + (self.size - 1) / 2)
@@ -381,20 +382,20 @@ def _fading_colours(colour: RGB) -> list[RGB]:
     return [palette.mix(palette.ARENA, colour, share) for share in shares.tolist()]
 
 
-def _placed(shape: Points, centre: Points, heading: float, length: float) -> NDArray[np.float64]:
+def _placed(shape: Points, centre: Points, heading: float, length: float) -> Floats:
     """Return a shape of the body frame in pixels: turned to ``heading`` (y up), scaled, moved."""
     cos, sin = math.cos(heading), math.sin(heading)
     return np.asarray(centre + length * (shape @ np.array([(cos, -sin), (-sin, -cos)])))
 
 
-def _edge(shape: str, size: float) -> NDArray[np.float64]:
+def _edge(shape: str, size: float) -> Floats:
     if shape == "disc":
         around = np.linspace(0, 2 * np.pi, 240, endpoint=False)
         return size * np.stack([np.cos(around), np.sin(around)], axis=-1)
     return size * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 
 
-def _dashed(points: Points, spacing: float) -> NDArray[np.float64]:
+def _dashed(points: Points, spacing: float) -> Floats:
     """Return the ends of dashes ``(2 n, 2)`` along a closed line, about ``spacing`` apart."""
     closed = np.concatenate([points, points[:1]])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
@@ -403,7 +404,7 @@ def _dashed(points: Points, spacing: float) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=8)
-def _fading(shape: tuple[int, int]) -> NDArray[np.float64]:
+def _fading(shape: tuple[int, int]) -> Floats:
     """Return opacity: 1 within the field, falling to 0 towards its ends and sides."""
     columns, rows = ((np.arange(n) + 0.5) / n for n in shape)
     before, along, across = (
@@ -446,7 +447,7 @@ class Pictures:
         self._renderer: Renderer | None = None
 
     def follow(self, begun: Iterable[bool], stepped: bool = True) -> None:
-        """Begin anew with copies that have ``begun``; of the others record a step, if any.
+        """Restart the copies that have ``begun``; record a step of the others, if any.
 
         In a window, show it.
         """

@@ -1,4 +1,4 @@
-"""What there is to see of an episode at one moment, and what records it while a world moves."""
+"""A scene is one moment of an episode to be drawn; a recorder makes them of a world."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.demos.summary import METRES, RECORDED_SCALE, Unit, ending_in_words, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
@@ -40,8 +41,8 @@ class Scene:
         return "searcher" in self.species.roles
 
     @property
-    def touched(self) -> NDArray[np.bool_]:
-        """``(K,)``: who is within reach of the last one (a searcher: of the source); that one."""
+    def touched(self) -> Bools:
+        """Individuals within reach of the target or source, and that target, ``(K,)``."""
         aim = np.zeros(2) if self.searching else self.positions[-1]
         touched = np.hypot(*(self.positions - aim).T) < self.species.contact_radius
         if not self.searching:
@@ -57,7 +58,7 @@ class SceneRecorder:
 
     def __init__(self, world: Any, copy: int = 0, title: str = "") -> None:
         self.world, self.copy, self.title = world, copy, title
-        self._trail: list[NDArray[np.float64]] = []
+        self._trail: list[Floats] = []
         self._glow: NDArray[np.float32] | None = None  # the plume, last drawn at this time [s]
         self._drawn = -np.inf
         self.unit = RECORDED_SCALE if world.demos is None else unit_of(world.demos)
@@ -74,7 +75,7 @@ class SceneRecorder:
         self._look()
 
     def follow(self) -> None:
-        """Take in the step that was just made."""
+        """Record the step that was just made."""
         self._returns = self._returns + self.world.reward[self.copy]
         self._look()
 

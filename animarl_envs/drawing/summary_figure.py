@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos import summary
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED
@@ -51,7 +51,7 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
 
 
 def _colours(demos: Demonstrations) -> list[str]:
-    """Return one per individual; the target's is its own."""
+    """Return the colour of each individual."""
     return [palette.to_hex(palette.colour_of(role, i)) for i, role in enumerate(demos.roles)]
 
 
@@ -144,7 +144,7 @@ def _draw_distances(axes: Any, demos: Demonstrations, unit: summary.Unit) -> Non
     axes.plot(time, ends.T, color=GREY, lw=0.5, alpha=0.4)
     common = np.isfinite(ends).sum(axis=0) >= LEAST_EPISODES
     if common.any():
-        median: NDArray[np.float64] = np.nanmedian(ends[:, common], axis=0)
+        median: Floats = np.nanmedian(ends[:, common], axis=0)
         axes.plot(time[common], median, color="black", lw=2, label="median")
         axes.legend(fontsize="small", frameon=False)
     axes.set(xlabel="s before the end", ylabel=unit.name, ylim=(0, None))

@@ -11,9 +11,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.demos.splits import learnable, training_episodes
@@ -203,7 +203,7 @@ def takes_sides(demos: Demonstrations) -> bool:
     return False
 
 
-def _sine(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _sine(first: Floats, second: Floats) -> Floats:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs import locomotion
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -28,8 +28,6 @@ from animarl_envs.fitting.tracking import track, tracking_errors
 from animarl_envs.fitting.transitions import Transitions, transitions
 from animarl_envs.kinematics import residual
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
-
-Floats = NDArray[np.float64]
 
 FAR = 5.0  # a miss beyond so many times the BULK quantile of all misses is a tracking jump
 BULK = 0.9
@@ -222,7 +220,7 @@ def _alternate(
 
 def nearest_actions(
     data: Transitions, damping: float, thrusts: Floats
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
+) -> tuple[Floats, Floats, Ints]:
     """Return for every step the nearest action's squared miss, vector and thrust number."""
     fitted = np.empty(len(data)), np.empty((len(data), 2)), np.empty(len(data), dtype=np.int64)
     assign(data.velocity, data.next_velocity, data.focus, damping, thrusts * data.dt, *fitted)

@@ -12,8 +12,8 @@ learned nearby: odour upwind of its source. So a share of what it is fitted to a
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import require_extra
@@ -32,7 +32,6 @@ ITERATIONS = 80  # more fit the training episodes better and validation episodes
 MIRRORED_HITS = np.array([0, 2, 1, 3])  # left becomes right
 EMPTY_PLACES, EMPTY_SHARE = 5_000, 1 / 9  # their number, and their weight in the likelihood
 CELL, MARGIN = 0.02, 0.3  # squares of the map of visited places, and how far it goes beyond [m]
-Floats = NDArray[np.float64]
 
 
 def shows_odour(demos: Demonstrations) -> bool:
@@ -41,7 +40,7 @@ def shows_odour(demos: Demonstrations) -> bool:
     return not demos.synthetic and "searcher" in demos.roles and signals <= set(demos.signals)
 
 
-def odour_steps(demos: Demonstrations) -> tuple[Floats, NDArray[np.int64]]:
+def odour_steps(demos: Demonstrations) -> tuple[Floats, Ints]:
     """Return inputs ``(n, INPUTS)`` and hits ``(n,)`` of all steps.
 
     A hit is 0 for none, 1 left, 2 right, 3 both. The recordings need headings and odour signals

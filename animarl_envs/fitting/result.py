@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import tracking_noise
@@ -180,7 +180,7 @@ def fit_locomotion(
             fits.append(replace(fits[0], name=name))
             continue
         more: dict[str, Any] = {}
-        samples: NDArray[np.float64] | None = None
+        samples: Floats | None = None
         if onset_threshold is None:
             own = joint[i]
             if weights is not None and thrusts == 1 and method == "joint":
@@ -241,7 +241,7 @@ def default_onset_threshold(demos: Demonstrations) -> float:
     return SLOW_SHARE * top / demos.dt
 
 
-def resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.float64] | None:
+def resampling_weights(episodes: int, resamples: int, seed: int) -> Floats | None:
     """Return how often each resample draws each episode, ``(resamples, episodes)``."""
     if resamples < 0:
         raise InputError(f"bootstrap is {resamples}: it must be 0 or a number of resamples")
@@ -254,7 +254,7 @@ def resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.f
 
 
 def percentiles(
-    samples: NDArray[np.float64] | None,
+    samples: Floats | None,
 ) -> tuple[Interval | None, Interval | None]:
     """Return intervals of damping and thrust from resampled ones ``(resamples, 2)``."""
     if samples is None or not len(samples):

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES, Arena
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -20,8 +20,6 @@ from animarl_envs.fitting.transitions import step_frames
 from animarl_envs.focus import averaged, focus_direction, focus_directions, focus_table
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +32,7 @@ class Tracking:
 
     positions: Floats
     velocities: Floats
-    actions: NDArray[np.int64]
+    actions: Ints
 
 
 def track(

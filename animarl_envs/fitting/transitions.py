@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion, apply_actions, infer_actions
@@ -30,10 +31,10 @@ class Transitions:
     never decreases.
     """
 
-    velocity: NDArray[np.float64]
-    next_velocity: NDArray[np.float64]
-    focus: NDArray[np.float64]
-    episode: NDArray[np.int64]
+    velocity: Floats
+    next_velocity: Floats
+    focus: Floats
+    episode: Ints
     num_episodes: int
     dt: float
 
@@ -62,14 +63,14 @@ def transitions(demos: Demonstrations, individual: int) -> Transitions:
     )
 
 
-def step_frames(demos: Demonstrations) -> NDArray[np.int64]:
+def step_frames(demos: Demonstrations) -> Ints:
     """Return the frames at which a decision was taken: all but the last of each episode."""
     last = np.zeros(len(demos.positions), dtype=bool)
     last[demos.offsets[1:] - 1] = True
     return np.flatnonzero(~last)
 
 
-def whole_steps(demos: Demonstrations) -> NDArray[np.int64]:
+def whole_steps(demos: Demonstrations) -> Ints:
     """Return those of :func:`step_frames` whose step is not shorter than the others."""
     steps = step_frames(demos)
     return steps[demos.intervals()[steps + 1] > 0.999 * demos.dt]
@@ -119,10 +120,10 @@ class OnsetData(NamedTuple):
     ``speed`` are all of them [arena unit / s], ``onset_speed`` those just after an onset.
     """
 
-    speed: NDArray[np.float64]
-    episode: NDArray[np.int64]
-    onset_speed: NDArray[np.float64]
-    onset_episode: NDArray[np.int64]
+    speed: Floats
+    episode: Ints
+    onset_speed: Floats
+    onset_episode: Ints
     num_episodes: int
     dt: float
 
@@ -174,7 +175,7 @@ def top_speed(demos: Demonstrations, individual: int) -> float:
     return _top_median(onset_data(demos, individual, onset_threshold=0.0).speed)
 
 
-def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def bootstrap_onset(data: OnsetData, weights: Floats) -> Floats:
     """Refit every resample: ``(resamples, 2)`` of d and u; NaN where a resample has no onset.
 
     ``weights`` ``(resamples, episodes)`` says how often each episode was drawn.
@@ -189,7 +190,7 @@ def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np
     return refits
 
 
-def _top_median(speed: NDArray[np.float64]) -> float:
+def _top_median(speed: Floats) -> float:
     """Return the median of ascending speeds above their quantile; the top one if all are equal."""
     if len(speed) == 0:
         return 0.0

@@ -11,15 +11,13 @@ twice as many, and so on, since the error over many has other minima.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require_extra
 from animarl_envs.locomotion import shorter_turn
 from animarl_envs.species.turning import Turning
-
-Floats = NDArray[np.float64]
 
 HORIZON = 2.0  # of the free running in the fit [s]
 MOST_STARTS = 10_000  # of the free running
@@ -141,7 +139,7 @@ def _recorded(demos: Demonstrations, individual: int) -> tuple[Floats, Floats]:
     return heading[:, individual], demos.velocities()[:, individual]
 
 
-def _steps(demos: Demonstrations) -> NDArray[np.int64]:
+def _steps(demos: Demonstrations) -> Ints:
     """Return all frames but the first of each episode."""
     return np.setdiff1d(np.arange(len(demos.positions)), demos.offsets[:-1])
 

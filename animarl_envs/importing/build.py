@@ -59,49 +59,18 @@ FEWEST_SAMPLES = 2  # of an episode, besides the one that makes its first veloci
 def demonstrations_from_tracks(
     recordings: Sequence[Tracks], recipe: ImportRecipe, name: str = "tracks"
 ) -> Demonstrations:
-    """Clean, scale, cut, resample and split; ``name`` is for messages.
+    """Turn recordings into demonstrations: clean, scale, cut, resample and split.
 
     Raises InputError: one sentence that names the file, the place and the remedy.
     """
-    require(recordings, f"{name}: there is no recording in it: give at least one")
-    require(
-        any(len(tracks) > 1 for tracks in recordings),
-        f"{name}: its recordings have one frame each, an episode needs two or more: check it",
-    )
-    for one in recordings:
-        if recipe.frame_rate and not math.isclose(
-            recipe.frame_rate, one.frame_rate or recipe.frame_rate, rel_tol=SAME_RATE
-        ):
-            warnings.warn(
-                f"{one.recording}: its file says {one.frame_rate:g} frames a second, taken are the "
-                f"{recipe.frame_rate:g} of --fps: leave it out if the file is right",
-                stacklevel=2,
-            )
-            break
+    _check_frames(recordings, recipe, name)
     sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
     marked, lost = mark_lost(recordings)
-    named = [trim(sessions.apply(apply_names(tracks, recipe))) for tracks in marked]
-    several = any(len(tracks.individuals) > 2 for tracks in named)
-    free = recipe.target is None or (recipe.target == AUTO and several)
-    free = free and not sessions.state_roles
-    if free and recipe.pursuer is None and recipe.individuals is None and not recipe.searcher:
-        named = [alone for tracks in named for alone in split_individuals(tracks)]
-        require(
-            named,
-            f"{name}: no animal is seen in two frames or more, so none of them moves: see to the "
-            "column of individuals, which should name the same animal in every frame",
-        )
-    kept = (TRACKS, TOGETHER_AT_MOST)
-    notes = {key: one.provenance[key] for one in named for key in kept if key in one.provenance}
-    if free or all(len(tracks.individuals) == 1 for tracks in named):
-        alike = with_common_names(named)
-        if len(alike[0].individuals) == 1 and alike != named:
-            notes["lone_animals"] = list(dict.fromkeys(one.individuals[0] for one in named))
-        named = alike
+    named, notes = _named(marked, recipe, sessions, name)
     cleaned, done = _cleaned(named, recipe, sessions)
     cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
-    tracked = sum(int(np.isfinite(one.bodies).all(axis=2).sum()) for one in cleaned)
+    tracked = sum(int(one.tracked.sum()) for one in cleaned)
     if focus is None and not recipe.searcher and recipe.cutting.mode == "whole":
         pieces = in_groups(cleaned, recipe.cutting.piece, FEWEST_PIECES)
         scales = [scale for scale, some in zip(scales, pieces, strict=True) for _ in some]
@@ -119,16 +88,7 @@ def demonstrations_from_tracks(
     cutting = recipe.cutting
     if all(tracks.outcome is None for tracks in scaled):
         cutting = replace(cutting, contact=_contact(scaled, roles, recipe))
-    if cutting.mode == "events" and cutting.events is not None:
-        check_events(Path(cutting.events), [tracks.recording for tracks in scaled])
-    episodes = []
-    all_cuts = _cuts(scaled, roles, replace(recipe, cutting=cutting))
-    for tracks, cuts in zip(scaled, all_cuts, strict=True):
-        made = [_episode(tracks, cut, recipe) for cut in cuts]
-        long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
-        done[tracks.recording]["episodes"] += len(long_enough)
-        done[tracks.recording]["too_short"] += len(made) - len(long_enough)
-        episodes += long_enough
+    episodes = _episodes(scaled, roles, replace(recipe, cutting=cutting), done)
     if not episodes:
         arena_unit = f"{scales[0].unit:.4g} {cleaned[0].unit}"
         raise InputError(f"{name}: {_why_none(scaled, roles, cutting, arena_unit)}")
@@ -182,6 +142,53 @@ def demonstrations_from_tracks(
     )
 
 
+def _check_frames(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> None:
+    """Refuse an import without frames; warn where a file has another rate than is stated."""
+    require(recordings, f"{name}: there is no recording in it: give at least one")
+    require(
+        any(len(tracks) > 1 for tracks in recordings),
+        f"{name}: its recordings have one frame each, an episode needs two or more: check it",
+    )
+    for one in recordings:
+        if recipe.frame_rate and not math.isclose(
+            recipe.frame_rate, one.frame_rate or recipe.frame_rate, rel_tol=SAME_RATE
+        ):
+            warnings.warn(
+                f"{one.recording}: its file says {one.frame_rate:g} frames a second, taken are the "
+                f"{recipe.frame_rate:g} of --fps: leave it out if the file is right",
+                stacklevel=3,
+            )
+            break
+
+
+def _named(
+    recordings: Sequence[Tracks], recipe: ImportRecipe, sessions: Sessions, name: str
+) -> tuple[list[Tracks], dict[str, Any]]:
+    """Return recordings with the animals and names of the recipe, and notes for the provenance.
+
+    Where nobody is pursued, animals that come and go become recordings of their own.
+    """
+    named = [trim(sessions.apply(apply_names(tracks, recipe))) for tracks in recordings]
+    several = any(len(tracks.individuals) > 2 for tracks in named)
+    free = recipe.target is None or (recipe.target == AUTO and several)
+    free = free and not sessions.state_roles
+    if free and recipe.pursuer is None and recipe.individuals is None and not recipe.searcher:
+        named = [alone for tracks in named for alone in split_individuals(tracks)]
+        require(
+            named,
+            f"{name}: no animal is seen in two frames or more, so none of them moves: check the "
+            "column of individuals, which should name the same animal in every frame",
+        )
+    kept = (TRACKS, TOGETHER_AT_MOST)
+    notes = {key: one.provenance[key] for one in named for key in kept if key in one.provenance}
+    if free or all(len(tracks.individuals) == 1 for tracks in named):
+        alike = with_common_names(named)
+        if len(alike[0].individuals) == 1 and alike != named:
+            notes["lone_animals"] = list(dict.fromkeys(one.individuals[0] for one in named))
+        named = alike
+    return named, notes
+
+
 def _cleaned(
     named: Sequence[Tracks], recipe: ImportRecipe, sessions: Sessions
 ) -> tuple[list[Tracks], dict[str, dict[str, Any]]]:
@@ -203,7 +210,7 @@ def _cleaned(
 
 
 def _stated_rates(recordings: Sequence[Tracks], recipe: ImportRecipe) -> dict[str, Any]:
-    """Return the frame rates [Hz] of the recordings, and what says so."""
+    """Return the frame rates [Hz] of the recordings, and where they come from."""
     if recipe.frame_rate is not None:
         return {"hz": [recipe.frame_rate], "from": "--fps"}
     rates = {one.frame_rate for one in recordings if one.frame_rate is not None}
@@ -211,7 +218,7 @@ def _stated_rates(recordings: Sequence[Tracks], recipe: ImportRecipe) -> dict[st
 
 
 def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> dict[str, Any]:
-    """Return where recordings come from: as the recipe states, else as their files do."""
+    """Return source and licence of the recordings, from the recipe or from their files."""
     first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
     stated = {} if recipe.licence == NOT_STATED else {"licence": recipe.licence}
     return {
@@ -227,7 +234,7 @@ def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> di
 def _why_none(
     recordings: Sequence[Tracks], roles: tuple[str, ...], cutting: Cutting, arena_unit: str
 ) -> str:
-    """Return why there is no episode, and what to do."""
+    """Return a sentence that says why there is no episode, and how to fix it."""
     contact = cutting.contact
     if contact and cutting.mode == "whole" and TARGET in roles:
         distances = [distances_to_target(one.bodies, roles).min(axis=1) for one in recordings]
@@ -237,15 +244,15 @@ def _why_none(
                 f"all recordings begin within contact, {contact:g} arena units of {arena_unit}: "
                 "give a smaller --contact"
             )
-    seen = [np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in recordings]
+    seen = [tracks.tracked for tracks in recordings]
     if any(stop - start > 1 for own in seen for start, stop in runs(own.all(axis=1))):
         return "the cut leaves no episode: loosen the distances or the length limits"
     for tracks, own in zip(recordings, seen, strict=True):
-        for who, name in enumerate(tracks.individuals):
-            if not own[:, who].any():
+        for individual, name in enumerate(tracks.individuals):
+            if not own[:, individual].any():
                 return (
                     f"{name} is never tracked in recording {tracks.recording}: leave it out by "
-                    "--individuals, or see to --min-confidence"
+                    "--individuals, or lower --min-confidence"
                 )
     return (
         "no two frames in a row have all individuals: choose some by --individuals, or fill gaps "
@@ -286,6 +293,26 @@ def _ends(cutting: Cutting, recordings: Sequence[Tracks], outcome: NDArray[Any])
     return "contact" if (outcome > 0).any() else "film"
 
 
+def _episodes(
+    scaled: Sequence[Tracks],
+    roles: tuple[str, ...],
+    recipe: ImportRecipe,
+    done: dict[str, dict[str, Any]],
+) -> list[dict[str, Any]]:
+    """Return the episodes of all recordings at the decision rate, and count them in ``done``."""
+    events = recipe.cutting.events
+    if recipe.cutting.mode == "events" and events is not None:
+        check_events(Path(events), [tracks.recording for tracks in scaled])
+    episodes = []
+    for tracks, cuts in zip(scaled, _cuts(scaled, roles, recipe), strict=True):
+        made = [_episode(tracks, cut, recipe) for cut in cuts]
+        long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
+        done[tracks.recording]["episodes"] += len(long_enough)
+        done[tracks.recording]["too_short"] += len(made) - len(long_enough)
+        episodes += long_enough
+    return episodes
+
+
 def _cuts(
     scaled: Sequence[Tracks], roles: tuple[str, ...], recipe: ImportRecipe
 ) -> list[list[Cut]]:
@@ -295,31 +322,31 @@ def _cuts(
     """
     cutting, piece = recipe.cutting, recipe.cutting.piece
     rates = [tracks.frame_rate or 1.0 for tracks in scaled]
-    found = [
+    all_cuts = [
         cut_episodes(tracks.bodies, roles, rate, cutting, tracks.recording, tracks.start)
         for tracks, rate in zip(scaled, rates, strict=True)
     ]
     if cutting.mode != "whole":
-        return found
-    if piece is None and 0 < sum(map(len, found)) < FEWEST_EPISODES:
+        return all_cuts
+    if piece is None and 0 < sum(map(len, all_cuts)) < FEWEST_EPISODES:
         seconds = sum(
             (cut.stop - cut.start) / rate
-            for cuts, rate in zip(found, rates, strict=True)
+            for cuts, rate in zip(all_cuts, rates, strict=True)
             for cut in cuts
         )
         decisions = seconds * (recipe.decision_rate or rates[0])
         if decisions >= FEWEST_PIECES * SHORTEST_PIECE:
             piece = seconds / FEWEST_PIECES
     if piece is not None:
-        found = [
+        all_cuts = [
             in_pieces(cuts, rate, piece, rate / (recipe.decision_rate or rate))
-            for cuts, rate in zip(found, rates, strict=True)
+            for cuts, rate in zip(all_cuts, rates, strict=True)
         ]
     return [
         [replace(cuts[0], outcome=tracks.outcome)]
         if len(cuts) == 1 and tracks.outcome is not None
         else cuts
-        for tracks, cuts in zip(scaled, found, strict=True)
+        for tracks, cuts in zip(scaled, all_cuts, strict=True)
     ]
 
 

@@ -18,16 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.episode import FILLED, HEADING
 from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.importing.tracks import CENTROID, Tracks
 from animarl_envs.locomotion import shorter_turn
 from animarl_envs.settings import Checked, NotNegative, Positive, PositiveOrInfinite, option
 
-Floats = NDArray[np.float64]
-
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
-SHOWN_JUMPS = 20
+MOST_LISTED_JUMPS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +93,7 @@ def clean(
     limit = likely if stated is None else stated if stated > 0 else None
     if limit is not None and tracks.confidence is not None:
         unknown = np.isnan(tracks.confidence) & (stated is None)
-        weak: NDArray[np.bool_] = np.logical_not((tracks.confidence >= limit) | unknown)
+        weak: Bools = np.logical_not((tracks.confidence >= limit) | unknown)
         positions = np.where(weak[..., None], np.nan, positions)
         done["below_confidence"] = int(weak.sum())
         done["confidence_of_at_least"] = limit
@@ -106,14 +105,14 @@ def clean(
     done["identity_swaps"], done["first_swaps"] = len(swaps), _flags(tracks, swaps)
     done["jumps_dropped"] = settings.drop_jumps
     if settings.drop_jumps:
-        for who in range(bodies.shape[1]):  # what trackers write of lost animals is no place
-            for start, stop in pairwise(jumps[jumps[:, 1] == who, 0]):
-                if (bodies[start:stop, who] == bodies[start, who]).all():
-                    bodies[start:stop, who] = np.nan
+        for individual in range(bodies.shape[1]):  # what trackers write of lost animals is no place
+            for start, stop in pairwise(jumps[jumps[:, 1] == individual, 0]):
+                if (bodies[start:stop, individual] == bodies[start, individual]).all():
+                    bodies[start:stop, individual] = np.nan
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
         if heading is not None:
             heading[jumps[:, 0], jumps[:, 1]] = np.nan
-    gaps: NDArray[np.bool_] = np.asarray(np.isnan(bodies).any(axis=2))
+    gaps: Bools = np.asarray(np.isnan(bodies).any(axis=2))
     seen = np.flatnonzero(~gaps.all(axis=1))  # before and after, nobody was in the recording
     done["untracked"] = int(np.count_nonzero(gaps[seen[0] : seen[-1] + 1])) if len(seen) else 0
     bodies, done["filled"] = fill_gaps(bodies, longest)
@@ -135,8 +134,9 @@ def clean(
             )
             heading = np.arctan2(y, x)
         done["smoothing"] = {
-            "filter": "Butterworth low-pass, order 1, forward and backward", "cutoff_hz": cutoff,
-        }  # fmt: skip
+            "filter": "Butterworth low-pass, order 1, forward and backward",
+            "cutoff_hz": cutoff,
+        }
     if heading is not None:
         signals[HEADING] = heading
     tracks = replace(tracks, signals=signals)
@@ -159,14 +159,17 @@ def _headings(tracks: Tracks, positions: Floats, settings: Cleaning) -> Floats |
     return stated.astype(np.float64)
 
 
-def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
+def _flags(tracks: Tracks, flagged: Ints) -> list[dict[str, Any]]:
     """Return the first of the flagged frames: frame, time [s] and names."""
     rate = tracks.frame_rate or 1.0
     return [
-        {"frame": tracks.start + frame, "time": round((tracks.start + frame) / rate, 3),
-         "individuals": [tracks.individuals[i] for i in who]}
-        for frame, *who in found[:SHOWN_JUMPS].tolist()
-    ]  # fmt: skip
+        {
+            "frame": tracks.start + frame,
+            "time": round((tracks.start + frame) / rate, 3),
+            "individuals": [tracks.individuals[i] for i in members],
+        }
+        for frame, *members in flagged[:MOST_LISTED_JUMPS].tolist()
+    ]
 
 
 def _body_positions(
@@ -182,13 +185,13 @@ def _body_positions(
     )
     if len(keypoints) == 1:
         return positions[:, :, 0].copy()
-    seen: NDArray[np.bool_] = np.asarray(np.isfinite(positions).all(axis=-1))
+    seen: Bools = np.asarray(np.isfinite(positions).all(axis=-1))
     total = np.where(seen[..., None], positions, 0.0).sum(axis=2)
     count = seen.sum(axis=2)[..., None]
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def find_jumps(bodies: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_jumps(bodies: Floats) -> tuple[Ints, Ints]:
     """Return jumps ``(n, 2)`` (frame, individual) and identity swaps ``(m, 3)`` (frame, i, j).
 
     A swap is a pair whose tracks fit better exchanged: each lands nearer to the other's last place,
@@ -255,7 +258,7 @@ def smooth(bodies: Floats, cutoff: float, frame_rate: float, name: str = "tracks
     return out
 
 
-def runs(mask: NDArray[np.bool_] | np.bool_) -> list[tuple[int, int]]:
+def runs(mask: Bools | np.bool_) -> list[tuple[int, int]]:
     """Return the first and one-past-last index of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, dtype=np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
@@ -330,7 +333,7 @@ class Scale:
     unit: float  # of the file per arena unit
     y_sign: float
 
-    def to_arena(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
+    def to_arena(self, positions: NDArray[np.floating]) -> Floats:
         """Convert positions ``(..., 2)`` from the file's unit to arena units."""
         return np.asarray((positions - np.array(self.centre)) / self.unit * [1.0, self.y_sign])
 
@@ -363,11 +366,11 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
     is_open = settings.shape == "open"
     if is_open and searched:
         return Scale(settings.centre or (0.0, 0.0), settings.units_per_arena_unit or 1.0, sign)
-    points = np.concatenate([one.bodies[np.isfinite(one.bodies).all(axis=2)] for one in recordings])
+    points = np.concatenate([one.bodies[one.tracked] for one in recordings])
     require(
         len(points),
         f"{first.recording}: no individual was ever tracked: check the file, "
-        "or see to --min-confidence",
+        "or lower --min-confidence",
     )
     x, y = (points.min(axis=0) + points.max(axis=0)) / 2
     centre = settings.centre or (float(x), float(y))

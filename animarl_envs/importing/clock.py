@@ -1,4 +1,4 @@
-"""One clock: the frame rate and the frame numbers that a file's times imply, or why there are none.
+"""The frame rate and the frame numbers that follow from the times of a file.
 
 Times are in seconds, frames are whole numbers. Above 1 Hz a rate is whole where that fits, below it
 the period is. Times of no stated unit are not taken for seconds where no camera is so slow or fast.
@@ -10,24 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError
-from animarl_envs.importing.tables import Words
+from animarl_envs.importing.tables import TextColumn
 
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
 Place = Callable[[int], str]  # what messages call a row, counted from 0
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame
 LARGEST_FRAME = 2**31
-CLEARLY = 0.1  # of a frame: how far a step is from whole frames that tells the rate
+MAX_OFF_WHOLE = 0.1  # of a frame: how far a step is from whole frames that tells the rate
 ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
 FEW_FRAMES = 3  # steps of more do not tell the rate
 PAUSES = 0.5  # share of steps from frame to frame that may take another time, as of a paused camera
-IRREGULAR, MANY = 0.01, 20  # share and number of steps off whole frames: fewer are wrong times
+IRREGULAR_SHARE, MIN_IRREGULAR_STEPS = 0.01, 20  # of steps off whole frames; fewer are mistakes
 LONGEST_STEP = 2.5  # usual steps; longer ones of an irregular clock are gaps
-FINE = 5  # roundings in a usual step; fewer do not tell a clock that ticks unevenly
+MIN_ROUNDINGS_PER_STEP = 5  # fewer cannot show that a clock ticks unevenly
 SLOWEST, FASTEST = 1.0, 500.0  # [Hz] of nearly all cameras; 1 Hz itself is of frame numbers
 IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
@@ -39,26 +37,25 @@ class Clock:
     """The clock of a table's rows.
 
     ``rate`` is in Hz, ``frames`` are the frame numbers of the rows, ``first`` the time of frame 0
-    of each group [s]. ``residual`` is how far times lie from their frames at most, in frames.
+    of each group [s].
     """
 
     rate: float
-    frames: Whole
+    frames: Ints
     first: Floats
-    residual: float
 
 
 def fit_clock(
     path: Path,
     time: Floats,
-    group: Whole,
+    group: Ints,
     place: Place,
-    frames: Whole | None = None,
+    frames: Ints | None = None,
     rate: float | None = None,
     unsaid: str | None = None,
     unit: float = 1.0,
 ) -> Clock:
-    """Return the frame rate and the frames of rows by their times [s], or refuse.
+    """Return the frame rate and the frames of rows by their times [s]; refuse uneven times.
 
     Without ``frames`` the earliest time of each ``group`` is frame 0, and without ``rate`` the
     usual step between times gives it. ``unsaid`` is the column of times of no stated unit, ``unit``
@@ -70,9 +67,9 @@ def fit_clock(
     first = np.zeros(int(group.max()) + 1)
     digit = rounding(time, unit)
     if frames is not None:
-        rate, residual = _rate_of_frames(path, frames, time, group, place, digit)
+        rate = _rate_of_frames(path, frames, time, group, place, digit)
         _check_unit(path, unsaid, rate, True)
-        return Clock(rate, frames, first, residual)
+        return Clock(rate, frames, first)
     first += np.inf
     np.minimum.at(first, group, time)
     since = time - first[group]
@@ -82,7 +79,7 @@ def fit_clock(
         numbers = np.rint(since * tried)
         off = np.abs(since * tried - numbers)
         if tried > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
-            return Clock(tried, numbers.astype(np.int64), first, float(off.max()))
+            return Clock(tried, numbers.astype(np.int64), first)
     raise InputError(
         f"{path}: the time of {place(int(off.argmax()))} lies between frames at {tried:g} Hz: "
         "correct it, or give the right --option fps=..."
@@ -96,7 +93,7 @@ def rate_of_rows(path: Path, time: Floats, place: Place) -> float:
     return clock.rate
 
 
-def _rates_of_steps(path: Path, since: Floats, group: Whole, digit: float) -> list[float]:
+def _rates_of_steps(path: Path, since: Floats, group: Ints, digit: float) -> list[float]:
     """Return rates [Hz] by the median step, made exact by all steps of few frames.
 
     The first is whole, or of a whole period, where that fits.
@@ -109,7 +106,7 @@ def _rates_of_steps(path: Path, since: Floats, group: Whole, digit: float) -> li
     usual = float(np.median(step))
     frames = np.rint(step / usual)
     few = (frames >= 1) & (frames <= FEW_FRAMES)
-    few &= np.abs(step / usual - frames) < CLEARLY + 1.01 * digit / usual
+    few &= np.abs(step / usual - frames) < MAX_OFF_WHOLE + 1.01 * digit / usual
     exact = float(frames[few].sum() / step[few].sum())
     whole = _whole(exact)
     fits = abs(whole - exact) < ROUNDING * exact
@@ -117,9 +114,9 @@ def _rates_of_steps(path: Path, since: Floats, group: Whole, digit: float) -> li
 
 
 def _rate_of_frames(
-    path: Path, frames: Whole, time: Floats, group: Whole, place: Place, digit: float
-) -> tuple[float, float]:
-    """Return the frame rate [Hz] of rows with a frame number and a time [s] each, and the residual.
+    path: Path, frames: Ints, time: Floats, group: Ints, place: Place, digit: float
+) -> float:
+    """Return the frame rate [Hz] of rows with a frame number and a time [s] each.
 
     A line through all frames with a new time gives it, since single steps of rounded times are too
     long or too short. Steps that even rounding does not explain, as of a paused camera, cut it.
@@ -145,7 +142,6 @@ def _rate_of_frames(
             f"{path}: its times do not keep step with its frame numbers: correct them, or give "
             "--option fps=... to count frames alone"
         )
-    residual = float((off[use] / usual).max())
     cuts = ~even
     cuts[1:] |= np.diff(group[before]) != 0
     line, row = np.cumsum(cuts, dtype=np.int64)[even & rising], after[even & rising]
@@ -154,11 +150,11 @@ def _rate_of_frames(
     whole, coarse = _whole(slope), digit * slope > 1
     fits = abs(count / whole - lasted) <= digit * (int(group.max()) + 1)
     if fits and (not coarse or np.abs(x / whole - y).max() <= 1 / whole):
-        return whole, residual
-    return _rounded(slope if coarse else count / lasted), residual
+        return whole
+    return _rounded(slope if coarse else count / lasted)
 
 
-def _centred(values: Floats, line: Whole) -> Floats:
+def _centred(values: Floats, line: Ints) -> Floats:
     """Return values without the mean of each line."""
     size = np.maximum(np.bincount(line), 1)
     return np.asarray(values - (np.bincount(line, values) / size)[line])
@@ -196,7 +192,7 @@ def _check_unit(path: Path, column: str | None, rate: float, numbered: bool) -> 
 
 
 def refuse_uneven_frames(
-    path: Path, frames: Floats | Whole, place: Place, first: float | None = None
+    path: Path, frames: Floats | Ints, place: Place, first: float | None = None
 ) -> None:
     """Refuse a row that is not the next frame: a gap or a swap would shift time silently."""
     due = np.arange(len(frames)) + (frames[0] if first is None else first)
@@ -210,7 +206,7 @@ def refuse_uneven_frames(
 
 
 def rounding(time: Floats, unit: float = 1.0) -> float:
-    """Return to what times [s] are rounded, a microsecond at least [s].
+    """Return the step to which times [s] are rounded, at least a microsecond [s].
 
     That is a power of ten of the ``unit`` [s] in which they were written.
     """
@@ -220,7 +216,7 @@ def rounding(time: Floats, unit: float = 1.0) -> float:
     return max(1e-6, unit * 10.0 ** -next(kept, 6))
 
 
-def irregular_rate(path: Path, time: Floats, track: Whole, unit: float = 1.0) -> float | None:
+def irregular_rate(path: Path, time: Floats, track: Ints, unit: float = 1.0) -> float | None:
     """Return the usual rate [Hz] of a clock that ticks unevenly, or None where it ticks evenly."""
     before, after = _neighbours(track, time)
     step = time[after] - time[before]
@@ -228,9 +224,9 @@ def irregular_rate(path: Path, time: Floats, track: Whole, unit: float = 1.0) ->
         return None
     usual = float(np.median(step))
     off = np.count_nonzero(np.abs(step / usual - np.rint(step / usual)) > UNEVEN)
-    if off < max(MANY, IRREGULAR * len(step)):
+    if off < max(MIN_IRREGULAR_STEPS, IRREGULAR_SHARE * len(step)):
         return None
-    if usual < FINE * (digit := rounding(time, unit)):
+    if usual < MIN_ROUNDINGS_PER_STEP * (digit := rounding(time, unit)):
         raise InputError(
             f"{path}: its times are rounded to {digit:g} s, too coarsely for frames about "
             f"{usual:.3g} s apart: write them with more digits, or add a column of frame numbers"
@@ -238,7 +234,7 @@ def irregular_rate(path: Path, time: Floats, track: Whole, unit: float = 1.0) ->
     return float(f"{1.0 / usual:.3g}") if usual <= 1 else 1.0 / float(f"{usual:.3g}")
 
 
-def even_rows(time: Floats, track: Whole, rate: float) -> tuple[Whole, Whole, Floats, Floats]:
+def even_rows(time: Floats, track: Ints, rate: float) -> tuple[Ints, Ints, Floats, Floats]:
     """Return rows around each tick of an even clock, the share of the way between, and times [s].
 
     Ticks are whole multiples of ``1 / rate``; those in a gap are left out.
@@ -253,14 +249,14 @@ def even_rows(time: Floats, track: Whole, rate: float) -> tuple[Whole, Whole, Fl
     return low, high, (ticks - time[low]) / (time[high] - time[low]), ticks
 
 
-def _neighbours(group: Whole, *keys: Floats | Whole) -> tuple[Whole, Whole]:
-    """Return rows and the next ones of the same group, sorted by keys, else as they stand."""
-    order: Whole = np.lexsort((*keys, group))
+def _neighbours(group: Ints, *keys: Floats | Ints) -> tuple[Ints, Ints]:
+    """Return rows and the next row of the same group, in the order of the keys."""
+    order: Ints = np.lexsort((*keys, group))
     same = np.diff(group[order]) == 0
     return order[:-1][same], order[1:][same]
 
 
-def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place) -> None:
+def refuse_times_going_back(path: Path, time: Floats, track: Ints, place: Place) -> None:
     """Refuse times [s] that are earlier than those of the same ``track`` on a line above.
 
     Clock times do so at midnight, and when daylight saving time ends. Sorted, they would be frames
@@ -276,9 +272,9 @@ def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place
         )
 
 
-def seconds(path: Path, column: str, values: Floats | Words, unit: str | None) -> Floats:
+def seconds(path: Path, column: str, values: Floats | TextColumn, unit: str | None) -> Floats:
     """Return times in seconds: numbers of a unit, ISO 8601 dates, or clock times: 0:01:02.5."""
-    if not isinstance(values, Words):
+    if not isinstance(values, TextColumn):
         if (unit or "s") not in IN_SECONDS:
             raise InputError(
                 f"{path}: times in {unit!r} are unknown: choose one of {', '.join(IN_SECONDS)}"

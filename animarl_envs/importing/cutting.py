@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
 from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
-from animarl_envs.importing.cleaning import Floats, runs
+from animarl_envs.importing.cleaning import runs
 from animarl_envs.importing.tables import read_rows
 from animarl_envs.settings import Checked, NotNegative, PositiveOrInfinite, option
 
@@ -25,12 +25,13 @@ FEWEST_PIECES = 10
 FEWEST_ENDS = 5  # recordings that say how recordings end
 MOST_END = 0.5  # at least this share of recordings ends within the distance
 AT_LAST = 0.95  # at least this share of those that come within it do so in their last frame
-PARTS, SHORTEST_PART = 10, 20  # of recordings, of which each tells who is approached; [frames]
+APPROACH_PARTS = 10  # of recordings; in each the most approached animal is looked for
+SHORTEST_APPROACH_PART = 20  # [frames]
 LARGEST_CHASE = 4  # individuals, up to which a target is found by itself
 MOSTLY = 0.6  # more parts than that tell the same
 SLACK = 1e-6  # relative, beyond the farthest contact
 NEEDED = {"recording", "start", "end"}
-SHOWN = 10  # recordings
+MOST_LISTED = 10  # recordings
 ROUNDING = 1e-9  # relative difference of distances that a change of unit makes
 
 
@@ -130,7 +131,7 @@ def cut_episodes(
     of the individuals, the target last, ``frame_rate`` is in Hz. Times of events count from frame
     0, of which ``first_frame`` is the first in ``bodies``.
     """
-    found: list[Cut] = []
+    cuts: list[Cut] = []
     distance = distances_to_target(bodies, roles)
     require(
         settings.ends != "contact" or np.isfinite(distance).any(),
@@ -138,21 +139,19 @@ def cut_episodes(
         "left or film",
     )
     if settings.mode == "events":
-        found = _cut_at_events(
-            bodies, distance, roles, frame_rate, settings, recording, first_frame
-        )
+        cuts = _cut_at_events(bodies, distance, roles, frame_rate, settings, recording, first_frame)
     else:
         for start, stop in runs(np.isfinite(bodies).all(axis=(1, 2))):
             if settings.mode == "approach":
-                found += _approaches(distance[start:stop], settings, start, recording)
+                cuts += _approaches(distance[start:stop], settings, start, recording)
             else:
-                found.append(_until_contact(distance[start:stop], settings.contact, start))
-        if found and found[-1].outcome == UNFINISHED:
-            last = found[-1].stop - 1
+                cuts.append(_until_contact(distance[start:stop], settings.contact, start))
+        if cuts and cuts[-1].outcome == UNFINISHED:
+            last = cuts[-1].stop - 1
             end = _outcome_at_end(settings.ends, bodies[last], distance[last], roles)
-            found[-1] = replace(found[-1], outcome=end)
+            cuts[-1] = replace(cuts[-1], outcome=end)
     kept = []
-    for cut in found:
+    for cut in cuts:
         duration = (cut.stop - cut.start - 1) / frame_rate
         if duration > settings.longest or cut.stop - cut.start < 2:
             continue
@@ -171,7 +170,7 @@ def in_pieces(
 
     Neighbours share a frame and begin at decisions (each ``every`` frames), so no step is lost.
     """
-    found = []
+    pieces = []
     for cut in cuts:
         steps = cut.stop - 1 - cut.start
         count = max(1, math.ceil(steps / frame_rate / piece - 1e-9)) if piece < math.inf else 1
@@ -181,8 +180,8 @@ def in_pieces(
         for first, last in pairwise(edges):
             ends = last == cut.stop - 1
             outcome = cut.outcome if ends else UNFINISHED
-            found.append(Cut(first, last + 1, outcome, cut.condition))
-    return [cut for cut in found if cut.stop - cut.start >= 2]
+            pieces.append(Cut(first, last + 1, outcome, cut.condition))
+    return [cut for cut in pieces if cut.stop - cut.start >= 2]
 
 
 def _approaches(distance: Floats, settings: Cutting, offset: int, recording: str) -> list[Cut]:
@@ -193,14 +192,14 @@ def _approaches(distance: Floats, settings: Cutting, offset: int, recording: str
     assert settings.farther_than is not None and settings.closer_than is not None
     nearest = distance.min(axis=1)
     far, near = nearest > settings.farther_than, _closer(nearest, settings.closer_than)
-    found, begin = [], -1
+    cuts, begin = [], -1
     for t in range(len(nearest)):
         if far[t] and (begin < 0 or settings.start == "approach"):
             begin = t
         elif near[t] and begin >= 0:
-            found.append(Cut(offset + begin, offset + t + 1, _contact_outcome(distance[t])))
+            cuts.append(Cut(offset + begin, offset + t + 1, _contact_outcome(distance[t])))
             begin = -1
-    return found
+    return cuts
 
 
 def _until_contact(distance: Floats, contact: float | None, offset: int) -> Cut:
@@ -224,7 +223,7 @@ def _outcome_at_end(ends: str, positions: Floats, distance: Floats, roles: Seque
     return TARGET_OUT if roles[farthest] == "target" else PURSUER_OUT
 
 
-def _closer(distance: Floats, limit: float) -> NDArray[np.bool_]:
+def _closer(distance: Floats, limit: float) -> Bools:
     """Return which distances are smaller, by more than rounding."""
     return np.asarray(distance < limit * (1 - ROUNDING))
 
@@ -247,7 +246,7 @@ def _cut_at_events(
     first_frame: int,
 ) -> list[Cut]:
     assert settings.events is not None
-    path, found = Path(settings.events), []
+    path, cuts = Path(settings.events), []
     for number, row in read_rows(path, NEEDED)[0]:
         if row["recording"] != recording:
             continue
@@ -279,8 +278,8 @@ def _cut_at_events(
             outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
         if outcome == UNFINISHED:
             outcome = _outcome_at_end(settings.ends, bodies[stop - 1], distance[stop - 1], roles)
-        found.append(Cut(start, stop, outcome, condition))
-    return found
+        cuts.append(Cut(start, stop, outcome, condition))
+    return cuts
 
 
 def most_approached(bodies: Sequence[Floats]) -> int:
@@ -318,10 +317,10 @@ def pursued_individual(bodies: Sequence[Floats]) -> int | None:
     target = most_approached(bodies)
     if num == 2:
         return target
-    length = max(SHORTEST_PART, sum(map(len, bodies)) // PARTS)
+    length = max(SHORTEST_APPROACH_PART, sum(map(len, bodies)) // APPROACH_PARTS)
     parts = [track[at : at + length] for track in bodies for at in range(0, len(track), length)]
-    found = [most_approached([part]) for part in parts if len(part) > 1]
-    return target if found.count(target) > MOSTLY * len(found) else None
+    approached = [most_approached([part]) for part in parts if len(part) > 1]
+    return target if approached.count(target) > MOSTLY * len(approached) else None
 
 
 def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
@@ -356,7 +355,7 @@ def check_events(path: Path, recordings: Sequence[str]) -> None:
     if not strange:
         return
     line, name = strange[0]
-    known = ", ".join(recordings[:SHOWN]) + ", ..." * (len(recordings) > SHOWN)
+    known = ", ".join(recordings[:MOST_LISTED]) + ", ..." * (len(recordings) > MOST_LISTED)
     if len(strange) == len(rows):
         raise InputError(
             f"{path}: line {line} is of recording {name!r} and no line is of any that is imported "

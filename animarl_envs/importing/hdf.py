@@ -1,4 +1,4 @@
-"""HDF5 files of strangers: opened without following what points out of them.
+"""HDF5 files of others: opened without following links out of the file.
 
 HDF5 can point out of the file (links, external storage, virtual datasets), ask for filters that are
 loaded from the disk, and describe numbers of any layout. None of it is in a file of tracks, so none
@@ -26,7 +26,7 @@ FILTERS = {1, 2, 3, 32000}  # deflate, shuffle, checksum, lzf: those that h5py b
 
 
 def is_hdf(path: Path) -> bool:
-    """Whether the file starts like HDF5 (or MATLAB 7.3)."""
+    """Return whether the file starts like HDF5 (or MATLAB 7.3)."""
     with contextlib.suppress(OSError), path.open("rb") as file:
         start = file.read(MATLAB_OFFSET + len(MAGIC))
         return start.startswith(MAGIC) or start[MATLAB_OFFSET:] == MAGIC
@@ -34,7 +34,7 @@ def is_hdf(path: Path) -> bool:
 
 
 def open_hdf(path: Path, soft_links: bool = False) -> Any:
-    """Return an open ``h5py.File`` that points nowhere and holds usual numbers.
+    """Open an HDF5 file that has no links to other files and holds usual numbers.
 
     ``soft_links`` are names of other places in the same file, as NWB has them. Raises InputError if
     it is none or holds anything unusual; damaged, whatever h5py raises.
@@ -52,7 +52,7 @@ def open_hdf(path: Path, soft_links: bool = False) -> Any:
 
 
 def hdf_keys(path: Path) -> set[str]:
-    """Return the names at the top of an HDF5 file; none if it is none, or damaged."""
+    """Return the names at the top of an HDF5 file; empty if it is no such file or damaged."""
     with contextlib.suppress(InputError, MissingExtraError), refusing_damage(path):
         if is_hdf(path):
             with open_hdf(path) as file:
@@ -61,7 +61,7 @@ def hdf_keys(path: Path) -> set[str]:
 
 
 def read_dataset(path: Path, file: Any, key: str) -> NDArray[Any]:
-    """Return one dataset of a file from :func:`open_hdf`; what was never written is refused."""
+    """Return one dataset of a file from :func:`open_hdf`; refuse one that was never written."""
     require(key in file, f"{path}: it has no dataset {key!r}: check --source")
     dataset = file[key]
     require(hasattr(dataset, "shape"), f"{path}: {key!r} is a group, not an array: name an array")
@@ -90,7 +90,7 @@ def _is_written(dataset: Any) -> bool:
 
 
 def _check_end(path: Path) -> None:
-    """Refuse a file that goes on beyond the end its header names (a shorter one fails to open)."""
+    """Refuse a file that is longer than its header says (a shorter one fails to open)."""
     with path.open("rb") as file:
         head = file.read(MATLAB_OFFSET + HEAD)
     start = 0 if head.startswith(MAGIC) else MATLAB_OFFSET
@@ -115,13 +115,13 @@ def _check_contents(path: Path, file: Any, soft_links: bool) -> None:
         if address in seen:
             continue
         seen.add(address)
-        place, found = thing.name, []
+        place, faults = thing.name, []
         kinds = [thing.attrs.get_id(name).get_type() for name in thing.attrs]
         if isinstance(thing, h5py.Dataset):
             settings = thing.id.get_create_plist()
             kinds.append(thing.id.get_type())
             packed = {settings.get_filter(i)[0] for i in range(settings.get_nfilters())}
-            found = [
+            faults = [
                 "a virtual dataset, made of other files" * thing.is_virtual,
                 "stored in another file" * bool(thing.external),
                 "packed by an unusual filter" * bool(packed - FILTERS),
@@ -132,11 +132,11 @@ def _check_contents(path: Path, file: Any, soft_links: bool) -> None:
                 if isinstance(link, h5py.HardLink):
                     waiting.append(thing[name])
                 elif not (soft_links and isinstance(link, h5py.SoftLink)):
-                    place, found = f"{place.rstrip('/')}/{name}", ["a link to elsewhere"]
+                    place, faults = f"{place.rstrip('/')}/{name}", ["a link to elsewhere"]
                     break
         if not all(map(_is_plain, kinds)):
-            found.append("of numbers laid out unusually")
-        if what := next(filter(None, found), ""):
+            faults.append("of numbers laid out unusually")
+        if what := next(filter(None, faults), ""):
             raise InputError(
                 f"{path}: {place} is {what}: it is not followed, export plain arrays instead"
             )

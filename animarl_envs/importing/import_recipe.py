@@ -100,13 +100,13 @@ class ImportRecipe(Checked):
         require(self.condition in (None, 0, 1), f"condition is {self.condition}: it must be 0 or 1")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, infinity as a string."""
-        found: dict[str, Any] = plain(self)
-        return found
+        """Return plain values, with infinity as a string."""
+        values: dict[str, Any] = plain(self)
+        return values
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], name: str = "recipe") -> ImportRecipe:
-        """The inverse of :meth:`to_dict`; unknown entries are refused."""
+        """Return the recipe of a dictionary (:meth:`to_dict`); refuse unknown entries."""
         _refuse_tiny(record, name)
         return cls.of(record, f"{name}: ")
 

@@ -1,4 +1,4 @@
-"""Demonstrations as a Minari dataset and back, exactly; in a folder of one's own, no network.
+"""Export demonstrations as a Minari dataset in a local folder, and read them back exactly.
 
 An episode of T steps has T + 1 observations and T actions. Observations are a dictionary with an
 entry per individual: x, y [arena unit], then their velocity [arena unit / s], arena frame. Actions
@@ -122,9 +122,9 @@ def import_minari(folder: str | Path) -> Demonstrations:
 
 
 def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
-    """Demonstrations from the arrays of the file; Minari itself does not open it.
+    """Rebuild demonstrations from the arrays of the file.
 
-    Its own reader follows what the file says (formats, spaces, the environment it was made with).
+    Minari's own reader follows what the file says (formats, spaces, its environment).
     """
     names = [str(name) for name in meta["demonstrations"]["individuals"]]
     states, actions = [], []

@@ -23,7 +23,7 @@ DEEPEST = 40  # lists within lists; no recording nests deeper
 
 
 def load_plain(raw: bytes, name: str) -> Any:
-    """Return the value pickled in ``raw``, if it is made of plain things.
+    """Return the value pickled in ``raw``; refuse anything but plain values and arrays.
 
     Raises InputError if it is of anything else, or damaged.
     """
@@ -43,7 +43,7 @@ def _need(met: bool, what: str) -> None:
 
 
 class _StandIn:
-    """Keeps what an object of NumPy's was called with, and its state; nothing else is done."""
+    """Arguments and state of a pickled NumPy object, of which nothing is executed."""
 
     def __init__(self, *given: Any) -> None:
         self.given, self.state = given, None
@@ -69,7 +69,7 @@ KNOWN = {"ndarray": object(), "dtype": _Dtype, "_reconstruct": _Array, "scalar":
 
 
 class _Restricted(pickle.Unpickler):
-    """Looks up nothing but the stand-ins."""
+    """An unpickler that looks up nothing but the stand-ins."""
 
     def find_class(self, module: str, name: str) -> Any:
         place = "numpy" if name in ("ndarray", "dtype") else "numpy.core.multiarray"
@@ -79,7 +79,7 @@ class _Restricted(pickle.Unpickler):
 
 
 def _made(value: Any, depth: int = 0) -> Any:
-    """The value with arrays in place of their stand-ins, all of it copied."""
+    """Return a copy of the value with arrays in place of their stand-ins."""
     kind, below = type(value), depth + 1
     _need(depth <= DEEPEST, "its lists nest too deep")
     if kind in PLAIN:
@@ -106,7 +106,7 @@ def _made(value: Any, depth: int = 0) -> Any:
 
 
 def _plain_dtype(given: Any) -> Any:
-    """The kind of an array, whose state may say its byte order and nothing else."""
+    """Return the kind of an array, whose state may hold its byte order alone."""
     plain = type(given) is _Dtype and PLAIN_CODE.fullmatch(given.given[0]) is not None
     _need(plain, "an array is not of plain numbers, text or objects")
     code, state = given.given[0], given.state
@@ -117,7 +117,7 @@ def _plain_dtype(given: Any) -> Any:
 
 
 def _numbers(raw: Any, dtype: np.dtype[Any], shape: tuple[int, ...], order: Any) -> Any:
-    """A copy of the bytes as an array, if each of its values exists."""
+    """Return a copy of the bytes as an array; refuse values that do not exist."""
     whole = type(raw) is bytes and len(raw) == math.prod(shape) * dtype.itemsize
     _need(whole and not dtype.hasobject, "numbers have more or fewer bytes than their kind")
     _need(dtype.kind != "b" or not raw.strip(b"\0\1"), "a truth value is neither true nor false")

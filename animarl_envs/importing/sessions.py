@@ -88,10 +88,10 @@ class Sessions:
         free = np.array([split is None for split in stated])
         if free.all():
             return split_recordings(recording, splitting)
-        found = np.array([split or SPLITS[0] for split in stated])
+        dealt = np.array([split or SPLITS[0] for split in stated])
         if free.any():
-            found[free] = split_recordings(recording[free], splitting)
-        return found
+            dealt[free] = split_recordings(recording[free], splitting)
+        return dealt
 
     def apply(self, tracks: Tracks) -> Tracks:
         """Return the recording with its condition and the individuals that have a role."""
@@ -137,7 +137,7 @@ def read_sessions(path: Path, recordings: Sequence[str] = ()) -> Sessions:
     Raises InputError in one sentence with the line.
     """
     rows, names = read_rows(path, {"recording"})
-    found: dict[str, Session] = {}
+    sessions: dict[str, Session] = {}
     for number, row in rows:
         place, name = f"{path}: line {number}", row["recording"]
         suffix = Path(name).suffix
@@ -145,9 +145,11 @@ def read_sessions(path: Path, recordings: Sequence[str] = ()) -> Sessions:
             name = name.removesuffix(suffix)
         require(name, f"{place} names no recording: fill the cell, or delete the line")
         own = _session(row, place)
-        found[name] = _united(found[name], own, f"{place} ({name})") if name in found else own
-    words = conditions_of([one.condition for one in found.values()], str(path))
-    return Sessions(str(path), found, words, tuple(sorted(set(names) - set(COLUMNS))))
+        sessions[name] = (
+            _united(sessions[name], own, f"{place} ({name})") if name in sessions else own
+        )
+    words = conditions_of([one.condition for one in sessions.values()], str(path))
+    return Sessions(str(path), sessions, words, tuple(sorted(set(names) - set(COLUMNS))))
 
 
 def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
@@ -163,39 +165,40 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
         f"{place}: it has the groups {', '.join(sorted(groups)) or 'of no name'}: name them "
         f"{', '.join(f'(?P<{name}>...)' for name in GROUPS)}",
     )
-    found = {}
+    sessions = {}
     for name, match in zip(recordings, matches, strict=True):
         if match is None:
             raise InputError(f"{place}: it does not fit recording {name!r}: write one that does")
         cells = {key: value or "" for key, value in match.items()}
-        found[name] = _session(cells, f"{place}, recording {name!r}")
-    return Sessions(place, found, conditions_of([s.condition for s in found.values()], place))
+        sessions[name] = _session(cells, f"{place}, recording {name!r}")
+    return Sessions(place, sessions, conditions_of([s.condition for s in sessions.values()], place))
 
 
 def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
     """Return the names of conditions 0 and 1: ``0`` and ``1``, or words in order of occurrence."""
-    found = tuple(dict.fromkeys(word for word in words if word is not None))
-    alike = {"".join(word.casefold().split()): word for word in found}
-    for word in found:
+    conditions = tuple(dict.fromkeys(word for word in words if word is not None))
+    alike = {"".join(word.casefold().split()): word for word in conditions}
+    for word in conditions:
         other = alike["".join(word.casefold().split())]
         require(
             word == other,
             f"{place}: conditions {word!r} and {other!r} differ only in capitals or blanks: write "
             "them alike",
         )
-    if found and set(found) <= {"0", "1"}:
+    if conditions and set(conditions) <= {"0", "1"}:
         return ("0", "1")
-    check_names(place, "a condition", found)
+    check_names(place, "a condition", conditions)
     require(
-        len(found) <= 2,
-        f"{place}: it has {len(found)} conditions, {', '.join(found)}: import two at a time",
+        len(conditions) <= 2,
+        f"{place}: it has {len(conditions)} conditions, {', '.join(conditions)}: import two at a "
+        "time",
     )
-    return found
+    return conditions
 
 
 def _session(row: Mapping[str, str], place: str) -> Session:
     known: dict[str, str] = {key: cell for key, cell in row.items() if cell}
-    split, who, role, scale = (
+    split, individual, role, scale = (
         known.get(key) for key in ("split", "individual", "role", "px_per_cm")
     )
     require(
@@ -203,8 +206,9 @@ def _session(row: Mapping[str, str], place: str) -> Session:
         f"{place}: split {split!r} is unknown: choose one of {', '.join(SPLITS)}",
     )
     require(
-        (who is None and role is None) or (who and role in (PURSUER, TARGET)),
-        f"{place}: {who!r} has the role {role!r}: name an individual, and {PURSUER} or {TARGET}",
+        (individual is None and role is None) or (individual and role in (PURSUER, TARGET)),
+        f"{place}: {individual!r} has the role {role!r}: name an individual, and {PURSUER} or "
+        f"{TARGET}",
     )
     try:
         px_per_cm = None if scale is None else float(scale)
@@ -215,9 +219,12 @@ def _session(row: Mapping[str, str], place: str) -> Session:
         f"{place}: px_per_cm is {scale!r}: give a positive number",
     )
     return Session(
-        condition=known.get("condition"), split=split, target=known.get("target"),
-        roles={who: role} if who and role else {}, px_per_cm=px_per_cm,
-    )  # fmt: skip
+        condition=known.get("condition"),
+        split=split,
+        target=known.get("target"),
+        roles={individual: role} if individual and role else {},
+        px_per_cm=px_per_cm,
+    )
 
 
 def _united(before: Session, now: Session, place: str) -> Session:

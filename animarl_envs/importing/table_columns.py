@@ -63,9 +63,11 @@ _ANGLE_UNIT = re.compile(r"[\s_/\[(]+(rad|deg)(?:ians?|rees?|s)?[\])]?\s*$", re.
 RADIANS = {"rad": 1.0, "deg": math.pi / 180.0}
 EXACT = ("x", "y")
 BOXES = (
-    ("xmin", "ymin", "xmax", "ymax"), ("minx", "miny", "maxx", "maxy"),
-    ("xtl", "ytl", "xbr", "ybr"), ("left", "top", "right", "bottom"),
-)  # fmt: skip
+    ("xmin", "ymin", "xmax", "ymax"),
+    ("minx", "miny", "maxx", "maxy"),
+    ("xtl", "ytl", "xbr", "ybr"),
+    ("left", "top", "right", "bottom"),
+)
 """Left, upper, right and lower edge of a box around an animal."""
 CORNERS = ("x1", "y1", "x2", "y2")  # of a box, or positions of two animals
 _NAMES = {
@@ -91,9 +93,7 @@ PARTS, BODY, SINGLE, SIDES, LANDMARKS, NO_POSITION, MATES = (
 """Words in names of pairs of columns. Of parts in ``BODY`` and ``SINGLE`` an individual has one:
 ``head2`` is of another. ``MATES`` are individuals beside the one of x and y."""
 CORNER_NAMES = {f"{a}{b}" for a in ("top", "bottom") for b in ("left", "right")}
-LONGITUDES = {
-    "longitude", "lon", "long", "lng", "locationlong", "locationlon", "gpslongitude"
-}  # fmt: skip
+LONGITUDES = {"longitude", "lon", "long", "lng", "locationlong", "locationlon", "gpslongitude"}
 LATITUDES = {"latitude", "lat", "locationlat", "gpslatitude"}
 
 
@@ -184,25 +184,25 @@ def find_columns(table: Layout) -> Columns:
     edges = set(chain(*boxes.values()))
     known = [one for one in parsed_names(table.names) if one.column not in edges]
     parts, unclear = _parts_by_name(known)
-    found = Columns(**parts, unclear=tuple(unclear))  # type: ignore[arg-type]
+    columns = Columns(**parts, unclear=tuple(unclear))  # type: ignore[arg-type]
     plain = [(x.column, y.column) for x, y in _plain_pairs(known)]
     if len(plain) > 1:
         (x, y), *_ = plain
         choice = f"--source long-table --option x={x} --option y={y}"
-        if found.individual is None:
+        if columns.individual is None:
             choice = f"--source wide-table --option {columns_option({'animal': (x, y)})}"
-        columns = ", ".join(chain(*plain))
+        listed = ", ".join(chain(*plain))
         return replace(
-            found, refusal=f"columns {columns} are each a position: choose a pair by {choice}"
+            columns, refusal=f"columns {listed} are each a position: choose a pair by {choice}"
         )
     corners = corners_of(table.names)
-    if corners and found.individual and not plain:
-        return replace(found, positions=(Position(corners),))
-    found = _with_named_pairs(replace(found, positions=tuple(map(Position, plain))), known)
-    if boxes and not (found.positions or found.refusal):
+    if corners and columns.individual and not plain:
+        return replace(columns, positions=(Position(corners),))
+    columns = _with_named_pairs(replace(columns, positions=tuple(map(Position, plain))), known)
+    if boxes and not (columns.positions or columns.refusal):
         positions = tuple(Position(columns, name) for name, columns in boxes.items())
-        return replace(found, positions=positions)
-    return found
+        return replace(columns, positions=positions)
+    return columns
 
 
 def unit_of(table: Layout, positions: Sequence[Position]) -> str:
@@ -213,10 +213,13 @@ def unit_of(table: Layout, positions: Sequence[Position]) -> str:
     named = {one.column: one for one in parsed_names(table.names, table.units)}
     columns = [named[name] for name in chain(*(one.columns for one in positions)) if name in named]
     units = {
-        one.column: DEGREES if one.key in LONGITUDES | LATITUDES
-        else one.unit if one.unit in LENGTHS else ""
+        one.column: DEGREES
+        if one.key in LONGITUDES | LATITUDES
+        else one.unit
+        if one.unit in LENGTHS
+        else ""
         for one in columns
-    }  # fmt: skip
+    }
     if len(set(units.values())) > 1:
         x = columns[0].column
         y = next(name for name, unit in units.items() if unit != units[x])
@@ -262,9 +265,9 @@ def _plain_pairs(known: Sequence[Named]) -> list[tuple[Named, Named]]:
     return list(zip(east, north, strict=True)) if len(east) == len(north) == 1 else []
 
 
-def _with_named_pairs(found: Columns, known: Sequence[Named]) -> Columns:
+def _with_named_pairs(so_far: Columns, known: Sequence[Named]) -> Columns:
     """Return the same with pairs of columns that are named by individual, keypoint or both."""
-    used = set(chain(*(position.columns for position in found.positions)))
+    used = set(chain(*(position.columns for position in so_far.positions)))
     bare = {one.bare: one for one in known}
     if len(bare) < len(known):
         bare = {one.column: one for one in known}
@@ -275,13 +278,13 @@ def _with_named_pairs(found: Columns, known: Sequence[Named]) -> Columns:
     }
     landmarks = tuple(name for name in pairs if _is_landmark(name))
     pairs = {name: pair for name, pair in pairs.items() if name not in landmarks}
-    found = replace(found, landmarks=landmarks)
+    so_far = replace(so_far, landmarks=landmarks)
     bodies = split_names(list(pairs))
     named = bodies is None or any(individual for individual, _ in bodies)
-    if not pairs or (found.positions and found.individual and named):
-        return found  # rows of individuals have their own position
-    if refusal := _why_unclear(found, pairs, bodies):
-        return replace(found, refusal=refusal)
+    if not pairs or (so_far.positions and so_far.individual and named):
+        return so_far  # rows of individuals have their own position
+    if refusal := _why_unclear(so_far, pairs, bodies):
+        return replace(so_far, refusal=refusal)
     columns = {one.key: one.column for one in known}
     positions = tuple(
         Position(pair, individual, part, None if part == CENTROID else _score_of(name, columns))
@@ -294,11 +297,13 @@ def _with_named_pairs(found: Columns, known: Sequence[Named]) -> Columns:
         name: columns[key] for name in parts if name and (key := _key(name) + "track") in columns
     }
     alike = len(tracks) == len(parts) and len(set(map(tuple, parts.values()))) == 1
-    return replace(found, positions=(*found.positions, *positions), tracks=tracks if alike else {})
+    return replace(
+        so_far, positions=(*so_far.positions, *positions), tracks=tracks if alike else {}
+    )
 
 
 def _why_unclear(
-    found: Columns, pairs: Mapping[str, tuple[str, str]], bodies: Sequence[tuple[str, str]] | None
+    columns: Columns, pairs: Mapping[str, tuple[str, str]], bodies: Sequence[tuple[str, str]] | None
 ) -> str:
     """Return why it is not clear what pairs of columns are of, and how to say it; else nothing."""
     all_columns = ", ".join(chain(*pairs.values()))
@@ -311,13 +316,14 @@ def _why_unclear(
     if not any(individual for individual, _ in bodies):
         return ""
     name, (x, y) = next(iter(pairs.items()))
-    if found.individual:
+    if columns.individual:
         return (
-            f"columns {all_columns} name individuals, and so does the column {found.individual!r}: "
-            f"choose a pair by --source long-table --option x={x} --option y={y}"
+            f"columns {all_columns} name individuals, and so does the column "
+            f"{columns.individual!r}: choose a pair by --source long-table --option x={x} --option "
+            f"y={y}"
         )
-    if found.positions and (len(pairs) > 1 or name.lower() not in MATES):
-        whole = found.positions[0].columns
+    if columns.positions and (len(pairs) > 1 or name.lower() not in MATES):
+        whole = columns.positions[0].columns
         return (
             f"columns {x!r} and {y!r} are left over beside {whole[0]!r} and {whole[1]!r}: name the "
             "pair of each individual by --source wide-table --option "
@@ -337,7 +343,7 @@ def _score_of(name: str, columns: Mapping[str, str]) -> str | None:
 
 def parsed_names(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
     """Return names and units apart; a unit stands in brackets, behind a slash, last, or below."""
-    found, pairs = [], pairs_of(names)
+    parsed, pairs = [], pairs_of(names)
     letters = [name for name in pairs if len(name) == 1 and name.lower() not in UNIT_NAMES]
     for at, name in enumerate(names):
         below = units[at] if at < len(units) else ""
@@ -351,13 +357,13 @@ def parsed_names(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]
         ):
             unit = ""  # but an animal: x_m and y_m beside x_f and y_f
         bare = match[1] if match and unit else name
-        found.append(Named(name, bare.strip(), unit or below))
-    return found
+        parsed.append(Named(name, bare.strip(), unit or below))
+    return parsed
 
 
 def pairs_of(names: Iterable[str]) -> dict[str, list[str]]:
     """Return pairs of columns that differ in an x and a y, by what else is in their names."""
-    found: dict[str, list[str]] = {}
+    pairs: dict[str, list[str]] = {}
     known = dict.fromkeys(names)
     for name in known:
         for pattern in (r"^([xX])[_ .:\-]?(.+)$", r"^(.+)[_ .:\-]([xX])$"):
@@ -369,18 +375,18 @@ def pairs_of(names: Iterable[str]) -> dict[str, list[str]]:
             other = "y" if axis == "x" else "Y"
             partner = other + name[1:] if first else name[:-1] + other
             if partner in known and partner != name:
-                found[rest] = [name, partner]
+                pairs[rest] = [name, partner]
                 break
-    return found
+    return pairs
 
 
 def split_names(names: Sequence[str]) -> list[tuple[str, str]] | None:
     """Return individual (``""``: the only one) and body part of each name; ``None`` if unclear."""
     if all(map(is_body_part, names)):
         return [("", name) for name in names]
-    found = [_at_part(name) for name in names]
-    if any(found) or any(map(is_body_part, names)):
-        return [pair for pair in found if pair] if all(found) else None
+    cut = [_at_part(name) for name in names]
+    if any(cut) or any(map(is_body_part, names)):
+        return [pair for pair in cut if pair] if all(cut) else None
     halves = [re.fullmatch(r"(.+?)[\s_.:\-]+(.+)", name) for name in names]
     if all(halves):
         first, second = ({half[k] for half in halves if half} for k in (1, 2))
@@ -390,7 +396,7 @@ def split_names(names: Sequence[str]) -> list[tuple[str, str]] | None:
 
 
 def is_body_part(name: str) -> bool:
-    """Whether a name is of a part of a body: ``left_ear``, ``tail2``, but not ``body2``."""
+    """Return whether a name is of a part of a body: ``left_ear``, ``tail2``, but not ``body2``."""
     words = _words(name)
     numbered = bool(words) and words[-1].isdecimal()
     letters = [word for word in words if not word.isdecimal()]
@@ -418,14 +424,14 @@ def _at_part(name: str) -> tuple[str, str] | None:
 
 
 def _is_landmark(name: str) -> bool:
-    """Whether a pair of columns is of a place by its name: ``corner1``, ``top_left``, ``food``."""
+    """Return whether a pair of columns is of a place by its name, such as ``corner1``."""
     words = [word for word in _words(name) if not word.isdecimal()]
-    found = any(word in LANDMARKS for word in words) and set(words) <= LANDMARKS | SIDES
-    return found or "".join(words) in CORNER_NAMES
+    named = any(word in LANDMARKS for word in words) and set(words) <= LANDMARKS | SIDES
+    return named or "".join(words) in CORNER_NAMES
 
 
 def _is_no_position(name: str, x: str, known: Iterable[str]) -> bool:
-    """Whether a pair is of velocities, spreads or the like, or of a quaternion (with w)."""
+    """Return whether a pair is of velocities, spreads or the like, or of a quaternion."""
     other = "w" + x[1:] if x[:1] in "xX" and name in x[1:] else x[:-1] + "w"
     return other in known or bool(NO_POSITION & set(_words(name)))
 
@@ -438,7 +444,7 @@ def _words(name: str) -> list[str]:
 def _find_boxes(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return columns of the edges of boxes around each individual (``""``: that of the row)."""
     by_key = {_key(re.split(r"\s*[\[(]", name)[0]): name for name in names}
-    found = {}
+    boxes = {}
     for family in (*BOXES, CORNERS):
         for key in by_key:
             before = key.removesuffix(family[0])
@@ -446,9 +452,9 @@ def _find_boxes(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
             name = re.sub(r"(bbox|bb|box)$", "", before)
             certain = family != CORNERS or name != before
             if key.endswith(family[0]) and certain and all(edges):
-                found[name] = tuple(edge for edge in edges if edge)
-        if found:
-            return found
+                boxes[name] = tuple(edge for edge in edges if edge)
+        if boxes:
+            return boxes
     return {}
 
 
@@ -460,12 +466,12 @@ def corners_of(names: Iterable[str]) -> tuple[str, ...] | None:
 
 
 def is_idtracker(table: Layout) -> bool:
-    """Whether columns are as idTracker 1 writes them: X1, Y1, ProbId1, ..."""
+    """Return whether columns are as idTracker 1 writes them: X1, Y1, ProbId1, ..."""
     return {"X1", "Y1", "ProbId1"} <= set(table.names)
 
 
 def radians_per_unit(path: Path, column: str, unit: str | None) -> float:
-    """Of a table's column of headings, whose unit is stated or stands in its name.
+    """Return how many radians the unit of a column of headings is, stated or in its name.
 
     Raises InputError if neither says whether these are radians or degrees.
     """

@@ -31,10 +31,17 @@ LOOKED_AT = 40  # rows that tell the number of cells
 BLANK = " "
 SEPARATORS = ",;\t|" + BLANK
 _UNITS = {
-    "px": "px pixel pixels pix", "mm": "mm millimeter millimetre", "cm": "cm centimeter centimetre",
-    "m": "m meter metre", "um": "um µm micron", "inch": "inch in", "s": "s sec secs second seconds",
-    "ms": "ms millisecond milliseconds msec", "min": "min", "us": "us µs",
-}  # fmt: skip
+    "px": "px pixel pixels pix",
+    "mm": "mm millimeter millimetre",
+    "cm": "cm centimeter centimetre",
+    "m": "m meter metre",
+    "um": "um µm micron",
+    "inch": "inch in",
+    "s": "s sec secs second seconds",
+    "ms": "ms millisecond milliseconds msec",
+    "min": "min",
+    "us": "us µs",
+}
 UNIT_NAMES = {name: unit for unit, names in _UNITS.items() for name in names.split()}
 _OTHERS = (
     "- # deg ° degrees rad cm/s mm/s m/s px/s cm² mm² px² cm2 mm2 cm^2 % frame frames counts "
@@ -116,7 +123,7 @@ def _guessed_encoding(path: Path, sample: bytes) -> str:
 
 def layout_of_lines(lines: Sequence[str]) -> Layout:
     """Return the layout under the separator that makes most numbers."""
-    score, layout = max((_under(lines, one) for one in SEPARATORS), key=lambda found: found[0])
+    score, layout = max((_under(lines, one) for one in SEPARATORS), key=lambda scored: scored[0])
     if score > 0:
         return _with_supplied_names(lines, layout)
     separator = max(SEPARATORS[:-1], key=lambda one: len(split_cells(lines[0], one)))
@@ -151,7 +158,7 @@ def split_cells(line: str, separator: str) -> list[str]:
 
 
 def is_number(cell: str, decimal: str = ".") -> bool:
-    """Whether a cell is a number to the parser."""
+    """Return whether a cell is a number to the parser."""
     if decimal == ",":
         if "." in cell:  # it might part thousands
             return False
@@ -173,7 +180,7 @@ def _without_brackets(cell: str) -> str:
 
 
 def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
-    """Return the numbers in a usual row under this separator, and the layout that would have."""
+    """Return a score and the layout under this separator: the numbers in a usual row."""
     none = (0.0, Layout(()))
     rows = [split_cells(line, separator) for line in lines[: HEADER_LINES + LOOKED_AT]]
     counts = Counter(len(row) for row in rows[-LOOKED_AT:] if any(row))
@@ -207,15 +214,20 @@ def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
     share = len(usual) / max(sum(map(any, rows[first:])), 1)
     words = [next((row[i] for row in usual if row[i]), "0") for i in range(width)]
     layout = Layout(
-        names, units, separator, decimal, first, tuple(map(tuple, rows[:top])),
+        names,
+        units,
+        separator,
+        decimal,
+        first,
+        tuple(map(tuple, rows[:top])),
         tuple(n for n, word in zip(names, words, strict=False) if not is_number(word, decimal)),
         "" if separator == "," else _unclear_number(usual, decimal),
-    )  # fmt: skip
+    )
     return score * share + 1e-3 * (first > top) - 1e-6 * SEPARATORS.index(separator), layout
 
 
 def _decimal_sign(rows: Sequence[Sequence[str]], separator: str) -> str:
-    """A comma where more cells are numbers only with it than only with a point."""
+    """Return a comma if more cells are numbers only with it than only with a point."""
     if separator == ",":
         return "."
     cells = [cell for row in rows for cell in row]
@@ -227,7 +239,7 @@ def _decimal_sign(rows: Sequence[Sequence[str]], separator: str) -> str:
 
 
 def _unclear_number(rows: Sequence[Sequence[str]], decimal: str) -> str:
-    """A number such as 1,000 whose sign may part thousands, where no other shows that it does not.
+    """Return a number such as 1,000 whose sign may part thousands; empty if others are clear.
 
     A point is only doubted where whole numbers other than 0, which trackers write of lost animals,
     stand in the same column: 1.000 below 996.
@@ -247,7 +259,7 @@ def _unclear_number(rows: Sequence[Sequence[str]], decimal: str) -> str:
 def _names_and_units(
     header: Sequence[Sequence[str]], width: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Of several header rows those that together tell the columns apart."""
+    """Return names and units by those header rows that together tell columns apart."""
     rows, units = [list(row) for row in header], [""] * width
     if len(rows) > 1:
         words = [cell for cell in rows[-1] if not re.fullmatch(r"[\[(].*[\])]", cell)]

@@ -1,4 +1,4 @@
-"""Rows of a table to tracks: where each cell belongs, once it is known which column is which."""
+"""From the rows of a table to tracks, once the part of each column is known."""
 
 import itertools
 import math
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
@@ -44,9 +44,6 @@ from animarl_envs.importing.tracks import (
     Tracks,
 )
 
-Floats = NDArray[np.float64]
-Whole = NDArray[np.int64]
-
 SPARSE, SMALL = 100, 2**20  # cells of frame and individual: so many a row, and in all
 EARTH = 6_371_008.8  # [m], its mean radius
 ORDERED = 0.99  # share of rows in which corners of a box are left of and above the others
@@ -62,22 +59,22 @@ class _Rows:
     """
 
     number: dict[str, Floats]
-    line: Whole
+    line: Ints
     recordings: list[str]
-    recording: Whole
+    recording: Ints
     names: list[str]
-    individual: Whole
+    individual: Ints
     points: list[str]
-    point: Whole
-    time: Floats | tables.Words | None
+    point: Ints
+    time: Floats | tables.TextColumn | None
 
     @property
-    def track(self) -> Whole:
+    def track(self) -> Ints:
         """A number for each recording, individual and keypoint."""
         body = self.recording * max(len(self.names), 1) + self.individual
         return body * max(len(self.points), 1) + self.point
 
-    def interpolate(self, low: Whole, high: Whole, share: Floats) -> None:
+    def interpolate(self, low: Ints, high: Ints, share: Floats) -> None:
         """Replace the rows by others between rows ``low`` and ``high`` of the same track."""
         self.number = {
             key: own[low] + share * (own[high] - own[low]) for key, own in self.number.items()
@@ -88,7 +85,7 @@ class _Rows:
 
 def tracks_of_rows(
     table: tables.Table,
-    found: Columns,
+    columns: Columns,
     fps: float | None,
     y_down: bool,
     progress: tables.Progress,
@@ -101,31 +98,32 @@ def tracks_of_rows(
     ``stated`` says that an option names them.
     """
     provenance: dict[str, Any] = {"file": table.path.name, "read_as": table.description}
-    rows, found = _read_rows(table, found, fps, progress, heading, stated, provenance)
-    fps, frames, start = _frames_of(table, found, rows, fps, heading, provenance)
+    rows, columns = _read_rows(table, columns, fps, progress, heading, stated, provenance)
+    fps, frames, start = _frames_of(table, columns, rows, fps, heading, provenance)
     if rows.names and _is_sparse(frames, rows.recording, len(rows.names)):
         start = _split_tracks(rows, frames, start, provenance)
     tracks = []
     for at in range(len(rows.recordings)):
-        own = np.flatnonzero(rows.recording == at)
-        record = _place_rows(table, found, rows, own, frames[own], heading)
+        alone = len(rows.recordings) == 1  # a slice, since copies of a gigabyte are felt
+        own = slice(None) if alone else np.flatnonzero(rows.recording == at)
+        record = _place_rows(table, columns, rows, own, frames[own], heading)
         tracks.append(
             Tracks(
                 recording=rows.recordings[at],
                 frame_rate=fps,
-                unit=found.unit or "px",
+                unit=columns.unit or "px",
                 y_down=y_down,
                 start_time=float(start[at]),
                 provenance=provenance,
                 **record,
             )
         )
-    return _centre_arenas(tracks) if found.arena else tracks
+    return _centre_arenas(tracks) if columns.arena else tracks
 
 
 def _read_rows(
     table: tables.Table,
-    found: Columns,
+    columns: Columns,
     fps: float | None,
     progress: tables.Progress,
     heading: str | None,
@@ -136,13 +134,17 @@ def _read_rows(
 
     What is not used, and what an import says, goes to ``provenance``.
     """
-    clock = "" if found.frame and fps else found.time or ""
-    numbers = [*itertools.chain(*(one.columns for one in found.positions)), heading, found.frame]
-    numbers += [position.score or found.confidence for position in found.positions]
-    slots = list(found.tracks.values())
-    texts = [found.individual, found.keypoint, found.recording, found.arena, *slots]
+    clock = "" if columns.frame and fps else columns.time or ""
+    numbers = [
+        *itertools.chain(*(one.columns for one in columns.positions)),
+        heading,
+        columns.frame,
+    ]
+    numbers += [position.score or columns.confidence for position in columns.positions]
+    slots = list(columns.tracks.values())
+    texts = [columns.individual, columns.keypoint, columns.recording, columns.arena, *slots]
     (texts if clock in table.words_in else numbers).append(clock)
-    used = {*numbers, *texts, found.time}
+    used = {*numbers, *texts, columns.time}
     if unused := [name for name in table.names if name and name not in used]:
         provenance["columns_not_used"] = unused
     number, word = table.columns(
@@ -151,57 +153,57 @@ def _read_rows(
     notes = table.notes
     line = np.arange(len(next(iter(number.values()))))
     if slots:
-        number, word, found, line = _stack_slots(number, word, found)
-    if found.unit == DEGREES:
-        notes.append(_project(table.path, number, found))
-        found = replace(found, unit="m")
+        number, word, columns, line = _stack_slots(number, word, columns)
+    if columns.unit == DEGREES:
+        notes.append(_project(table.path, number, columns))
+        columns = replace(columns, unit="m")
     if not stated:
-        found = _with_boxes(table, found, number)
+        columns = _with_boxes(table, columns, number)
     zeros = np.zeros(len(line), dtype=np.int64)
-    sets = _recordings_of(table.path, found, word, zeros)
-    bodies = _bodies_of(table.path, found, word, zeros, stated)
+    sets = _recordings_of(table.path, columns, word, zeros)
+    bodies = _bodies_of(table.path, columns, word, zeros, stated)
     time = word.get(clock, number.get(clock))
     rows = _Rows(number, line, sets.entries, sets.number, *bodies, time)
-    notes += _notes_on(found, rows.points)
+    notes += _notes_on(columns, rows.points)
     if is_idtracker(table):
         notes.append("the columns are idTracker's: y is taken to grow downwards")
     if notes:
         provenance["notes"] = notes
-    return rows, found
+    return rows, columns
 
 
 def _frames_of(
     table: tables.Table,
-    found: Columns,
+    columns: Columns,
     rows: _Rows,
     fps: float | None,
     heading: str | None,
     provenance: dict[str, Any],
-) -> tuple[float | None, Whole, Floats]:
+) -> tuple[float | None, Ints, Floats]:
     """Return the rate [Hz], the frame of each row and the time of frame 0 of each recording.
 
     Rows of an irregular clock are resampled.
     """
     path = table.path
     frames = np.zeros(len(rows.line), dtype=np.int64)
-    if found.frame is not None:
-        frames = frame_numbers(table, found.frame, rows.number[found.frame])
+    if columns.frame is not None:
+        frames = frame_numbers(table, columns.frame, rows.number[columns.frame])
     elif rows.time is None:
         for at in range(len(rows.recordings)):
             own = rows.recording == at
             frames[own] = np.arange(np.count_nonzero(own))
     if rows.time is None:
         return fps, frames, np.zeros(len(rows.recordings))
-    assert found.time is not None
-    is_text = isinstance(rows.time, tables.Words)
-    unit = found.time_unit or parsed_names([found.time], table.units)[0].unit
-    when = seconds(path, found.time, rows.time, unit or None)
-    unsaid = None if unit or is_text else found.time
+    assert columns.time is not None
+    is_text = isinstance(rows.time, tables.TextColumn)
+    unit = columns.time_unit or parsed_names([columns.time], table.units)[0].unit
+    when = seconds(path, columns.time, rows.time, unit or None)
+    unsaid = None if unit or is_text else columns.time
     written = 1.0 if is_text else IN_SECONDS[unit or "s"]
     provenance[RATE_FROM] = (
-        f"the column {found.time} ({'times of day' if is_text else unit or 's'})"
+        f"the column {columns.time} ({'times of day' if is_text else unit or 's'})"
     )
-    if found.frame is None:
+    if columns.frame is None:
         refuse_times_going_back(path, when, rows.track, table.place)
         if fps is None and (fps := irregular_rate(path, when, rows.track, written)) is not None:
             require(
@@ -213,12 +215,12 @@ def _frames_of(
             rows.interpolate(low, high, share)
             provenance["read_as"] += f", irregular clock resampled to {fps:g} Hz"
             provenance[RATE_FROM] += ", irregular and resampled"
-    numbered = None if found.frame is None else frames
+    numbered = None if columns.frame is None else frames
     clock = fit_clock(path, when, rows.recording, table.place, numbered, fps, unsaid, written)
     return clock.rate, clock.frames, clock.first
 
 
-def _split_tracks(rows: _Rows, frames: Whole, start: Floats, provenance: dict[str, Any]) -> Floats:
+def _split_tracks(rows: _Rows, frames: Ints, start: Floats, provenance: dict[str, Any]) -> Floats:
     """Make each individual of each recording a recording; return the times of their frame 0."""
     together = np.unique(frames * len(rows.recordings) + rows.recording, return_counts=True)[1]
     count = len(rows.names)
@@ -232,19 +234,19 @@ def _split_tracks(rows: _Rows, frames: Whole, start: Floats, provenance: dict[st
 
 def _place_rows(
     table: tables.Table,
-    found: Columns,
+    columns: Columns,
     rows: _Rows,
-    own: Whole,
-    frames: Whole,
+    own: Ints | slice,
+    frames: Ints,
     heading: str | None,
 ) -> dict[str, Any]:
     """Return names and arrays of one recording, of its ``own`` rows and the ``frames`` of these."""
-    recording = rows.recordings[int(rows.recording[own[0]])]
-    individuals = list(dict.fromkeys(one.individual or LONE for one in found.positions))
+    recording = rows.recordings[int(rows.recording[own][0])]
+    individuals = list(dict.fromkeys(one.individual or LONE for one in columns.positions))
     place = np.zeros(1, dtype=np.int64)
     if rows.names:
         individuals, place = _in_natural_order(rows.names, rows.individual[own])
-    parts = rows.points or list(dict.fromkeys(one.keypoint for one in found.positions))
+    parts = rows.points or list(dict.fromkeys(one.keypoint for one in columns.positions))
     first = int(frames.min())
     shape = (int(frames.max()) + 1 - first, len(individuals), len(parts))
     _check_extent(table, recording, shape, frames, rows.line[own])
@@ -253,14 +255,17 @@ def _place_rows(
     refuse_two_rows(
         table, recording, body * len(parts) + rows.point[own], labels, rows.line[own], first
     )
-    positions, confidence = np.full((*shape, 2), np.nan), np.full(shape, np.nan)
-    scores = [position.score or found.confidence for position in found.positions]
-    for position, score in zip(found.positions, scores, strict=True):
+    positions = np.full((*shape, 2), np.nan)
+    scores = [position.score or columns.confidence for position in columns.positions]
+    confidence = np.full(shape, np.nan) if any(scores) else None
+    for position, score in zip(columns.positions, scores, strict=True):
         further = 0 if rows.names else individuals.index(position.individual or LONE)
         part = rows.point[own] if rows.points else parts.index(position.keypoint)
         cell = (body + further) * len(parts) + part
-        positions.reshape(-1, 2)[cell] = _places(rows.number, position.columns)[own]
-        if score is not None:
+        for axis in range(2):  # a column, or the two edges of a box, whose middle it is
+            edges = [rows.number[name][own] for name in position.columns[axis::2]]
+            positions.reshape(-1, 2)[cell, axis] = sum(edges) / len(edges)
+        if confidence is not None and score is not None:
             confidence.reshape(-1)[cell] = rows.number[score][own]
     signals = {}
     if heading is not None:
@@ -270,49 +275,43 @@ def _place_rows(
         "individuals": tuple(individuals),
         "keypoints": tuple(parts),
         "positions": positions,
-        "confidence": confidence if any(scores) else None,
+        "confidence": confidence,
         "signals": signals,
         "start": first,
     }
 
 
-def _places(number: Mapping[str, Floats], columns: Sequence[str]) -> Floats:
-    """Return x and y ``(rows, 2)`` of two columns, or the centre of the edges of a box."""
-    x, y = (np.mean([number[name] for name in columns[axis::2]], axis=0) for axis in (0, 1))
-    return np.stack([x, y], axis=1)
-
-
 def _recordings_of(
-    path: Path, found: Columns, word: Mapping[str, tables.Words], zeros: Whole
-) -> tables.Words:
+    path: Path, columns: Columns, word: Mapping[str, tables.TextColumn], zeros: Ints
+) -> tables.TextColumn:
     """Return the recording of each row: that of a column, an arena of it, else of the file."""
     stem = Path(path.name.removesuffix(tables.PACKED)).stem
-    sets = word.get(found.recording or "", tables.Words([stem], zeros))
-    arenas = word.get(found.arena or "", tables.Words([""], zeros))
+    sets = word.get(columns.recording or "", tables.TextColumn([stem], zeros))
+    arenas = word.get(columns.arena or "", tables.TextColumn([""], zeros))
     if len(arenas.entries) == 1:
         return sets
     count = len(arenas.entries)
     pairs, number = np.unique(sets.number * count + arenas.number, return_inverse=True)
     names = [f"{sets.entries[pair // count]}/{arenas.entries[pair % count]}" for pair in pairs]
-    return tables.Words(names, number.astype(np.int64))
+    return tables.TextColumn(names, number.astype(np.int64))
 
 
 def _bodies_of(
-    path: Path, found: Columns, word: Mapping[str, tables.Words], zeros: Whole, stated: bool
-) -> tuple[list[str], Whole, list[str], Whole]:
-    """Return names of individuals and of keypoints that rows are of, and for each row which one.
+    path: Path, columns: Columns, word: Mapping[str, tables.TextColumn], zeros: Ints, stated: bool
+) -> tuple[list[str], Ints, list[str], Ints]:
+    """Return the names of individuals and keypoints, and for each row the number of its own.
 
     No names: the header has them. A column of individuals may name parts of bodies: ``nose``.
     """
-    none = tables.Words([], zeros)
-    bodies, points = (word.get(name or "", none) for name in (found.individual, found.keypoint))
+    none = tables.TextColumn([], zeros)
+    bodies, points = (word.get(name or "", none) for name in (columns.individual, columns.keypoint))
     unclear = not stated and not points.entries
     split = split_names(bodies.entries) if unclear else None
     if unclear and split is None and any(map(is_body_part, bodies.entries)):
-        column = shlex.quote(f"individual={found.individual}")
-        part = shlex.quote(f"keypoint={found.individual}")
+        column = shlex.quote(f"individual={columns.individual}")
+        part = shlex.quote(f"keypoint={columns.individual}")
         raise InputError(
-            f"{path}: column {found.individual!r} names parts of bodies "
+            f"{path}: column {columns.individual!r} names parts of bodies "
             f"({', '.join(filter(is_body_part, bodies.entries))[:80]}) beside others: say --source "
             f"long-table --option {part} if all are parts of one individual, --option {column} if "
             "each is an individual"
@@ -321,30 +320,32 @@ def _bodies_of(
         names = list(dict.fromkeys(individual for individual, _ in split))
         parts = list(dict.fromkeys(part for _, part in split))
         place = np.array([(names.index(a), parts.index(b)) for a, b in split], dtype=np.int64)
-        who, point = place[bodies.number].T
-        return [name or LONE for name in names], who, parts, point
+        individual, point = place[bodies.number].T
+        return [name or LONE for name in names], individual, parts, point
     return bodies.entries, bodies.number, points.entries, points.number
 
 
 def _stack_slots(
-    number: dict[str, Floats], word: dict[str, tables.Words], found: Columns
-) -> tuple[dict[str, Floats], dict[str, tables.Words], Columns, Whole]:
-    """Return rows of one individual each, of rows with several whose names stand in columns.
+    number: dict[str, Floats], word: dict[str, tables.TextColumn], columns: Columns
+) -> tuple[dict[str, Floats], dict[str, tables.TextColumn], Columns, Ints]:
+    """Return a row for each individual, where rows hold several that columns name.
 
     Last is the row of the table that each is of.
     """
-    slots = list(found.tracks)
-    own = {name: [p for p in found.positions if p.individual == name] for name in slots}
+    slots = list(columns.tracks)
+    own = {name: [p for p in columns.positions if p.individual == name] for name in slots}
     first = own[slots[0]]
-    rows = [np.flatnonzero(word[column].number >= 0) for column in found.tracks.values()]
-    entries = sorted(set(itertools.chain(*(word[c].entries for c in found.tracks.values()))))
-    who = [
+    rows = [np.flatnonzero(word[column].number >= 0) for column in columns.tracks.values()]
+    entries = sorted(set(itertools.chain(*(word[c].entries for c in columns.tracks.values()))))
+    owners = [
         np.searchsorted(entries, np.array(word[column].entries))[word[column].number[at]]
-        for column, at in zip(found.tracks.values(), rows, strict=True)
+        for column, at in zip(columns.tracks.values(), rows, strict=True)
     ]
     order = np.concatenate(rows)
     used = set(
-        itertools.chain(*(p.columns for p in found.positions), (p.score for p in found.positions))
+        itertools.chain(
+            *(p.columns for p in columns.positions), (p.score for p in columns.positions)
+        )
     )
     stacked = {name: values[order] for name, values in number.items() if name not in used}
     for at, position in enumerate(first):
@@ -354,22 +355,27 @@ def _stack_slots(
                 values = [number[str(part)][rows_] for part, rows_ in zip(parts, rows, strict=True)]
                 stacked[column] = np.concatenate(values)
     words = {
-        name: tables.Words(value.entries, value.number[order])
+        name: tables.TextColumn(value.entries, value.number[order])
         for name, value in word.items()
-        if name not in found.tracks.values()
+        if name not in columns.tracks.values()
     }
-    column = found.tracks[slots[0]]
-    words[column] = tables.Words(entries, np.concatenate(who).astype(np.int64))
+    column = columns.tracks[slots[0]]
+    words[column] = tables.TextColumn(entries, np.concatenate(owners).astype(np.int64))
     positions = tuple(replace(position, individual="") for position in first)
-    return stacked, words, replace(found, individual=column, positions=positions, tracks={}), order
+    return (
+        stacked,
+        words,
+        replace(columns, individual=column, positions=positions, tracks={}),
+        order,
+    )
 
 
-def _project(path: Path, number: dict[str, Floats], found: Columns) -> str:
+def _project(path: Path, number: dict[str, Floats], columns: Columns) -> str:
     """Turn longitudes and latitudes [degrees] into metres on a plane around their middle.
 
     A local equirectangular projection; returns what an import says of it.
     """
-    (east, north), *_ = (position.columns for position in found.positions)
+    (east, north), *_ = (position.columns for position in columns.positions)
     longitude, latitude = number[east], number[north]
     seen = np.isfinite(longitude) & np.isfinite(latitude)
     fits = (
@@ -392,12 +398,12 @@ def _project(path: Path, number: dict[str, Floats], found: Columns) -> str:
     )
 
 
-def _with_boxes(table: tables.Table, found: Columns, number: dict[str, Floats]) -> Columns:
-    """Return the same with x1, y1, x2, y2 as a box, where they are no two animals."""
+def _with_boxes(table: tables.Table, columns: Columns, number: dict[str, Floats]) -> Columns:
+    """Return the columns with x1, y1, x2, y2 as a box, unless they are two animals."""
     corners = corners_of(table.names) or ()
-    pairs = itertools.chain(*(one.columns for one in found.positions))
+    pairs = itertools.chain(*(one.columns for one in columns.positions))
     is_box = corners == tuple(pairs) and are_corners(*(number[name] for name in corners))
-    return replace(found, positions=(Position(corners),)) if is_box else found
+    return replace(columns, positions=(Position(corners),)) if is_box else columns
 
 
 def are_corners(x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> bool:
@@ -412,18 +418,18 @@ def are_corners(x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> bool:
     return bool((size.std(axis=1) < STEADY * centre.std(axis=1)).all())
 
 
-def _notes_on(found: Columns, points: Sequence[str]) -> list[str]:
-    """Return what was taken for a box, for keypoints and for a landmark."""
+def _notes_on(columns: Columns, points: Sequence[str]) -> list[str]:
+    """Return notes on columns that were taken for a box, for keypoints or for a landmark."""
     notes = [
         f"{', '.join(position.columns)} are the edges of a box: its centre is the position"
-        for position in found.positions
+        for position in columns.positions
         if len(position.columns) == 4
     ]
-    named = dict.fromkeys(one.keypoint for one in found.positions if one.keypoint != CENTROID)
+    named = dict.fromkeys(one.keypoint for one in columns.positions if one.keypoint != CENTROID)
     if parts := [*points, *named]:
         notes.append(f"taken for keypoints of each individual: {', '.join(parts)}")
-    if found.landmarks:
-        notes.append(f"taken for landmarks, not for animals: {', '.join(found.landmarks)}")
+    if columns.landmarks:
+        notes.append(f"taken for landmarks, not for animals: {', '.join(columns.landmarks)}")
     return notes
 
 
@@ -438,8 +444,8 @@ def _centre_arenas(tracks: list[Tracks]) -> list[Tracks]:
     return [replace(one, positions=one.positions - m) for one, m in zip(tracks, middles)]
 
 
-def _in_natural_order(entries: list[str], numbers: Whole) -> tuple[list[str], Whole]:
-    """Return those entries that occur, 2 before 10, and the place of each entry among these."""
+def _in_natural_order(entries: list[str], numbers: Ints) -> tuple[list[str], Ints]:
+    """Return the entries that occur, 2 before 10, and the place of each among them."""
 
     def pieces(number: int) -> list[tuple[int, int, str]]:
         parts = re.findall(r"\d+|\D+", entries[number])
@@ -451,8 +457,8 @@ def _in_natural_order(entries: list[str], numbers: Whole) -> tuple[list[str], Wh
     return [entries[number] for number in order], place
 
 
-def frame_numbers(table: tables.Table, column: str, frames: NDArray[np.float64]) -> Whole:
-    """Return frames as whole numbers, or refuse what is none."""
+def frame_numbers(table: tables.Table, column: str, frames: Floats) -> Ints:
+    """Return frames as whole numbers; refuse others."""
     bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
     if bad.any():
         at = int(bad.argmax())
@@ -466,30 +472,30 @@ def frame_numbers(table: tables.Table, column: str, frames: NDArray[np.float64])
 def refuse_two_rows(
     table: tables.Table,
     recording: str,
-    cell: Whole,
+    cell: Ints,
     individuals: list[str],
-    rows: Whole,
+    rows: Ints,
     first: int = 0,
 ) -> None:
     """Refuse a second row of one frame and individual; ``rows`` are those of the table."""
     twice = np.flatnonzero(np.bincount(cell) > 1)
     if len(twice):
-        frame, who = divmod(int(twice[0]), len(individuals))
+        frame, individual = divmod(int(twice[0]), len(individuals))
         second = int(np.flatnonzero(cell == twice[0])[1])
-        before = cell[:second][cell[:second] % len(individuals) == who]
+        before = cell[:second][cell[:second] % len(individuals) == individual]
         require(
             before.max() == twice[0],
             f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
             "session: add a column recording that tells the sessions apart, or split the file",
         )
         raise InputError(
-            f"{table.path}: {recording}, frame {first + frame}, {individuals[who]} has two rows: "
-            "drop the duplicate, or name the recording column"
+            f"{table.path}: {recording}, frame {first + frame}, {individuals[individual]} has two "
+            "rows: drop the duplicate, or name the recording column"
         )
 
 
-def _is_sparse(frames: Whole, recording: Whole, individuals: int) -> bool:
-    """Whether few of the frames between first and last hold a row, as in a film of short visits."""
+def _is_sparse(frames: Ints, recording: Ints, individuals: int) -> bool:
+    """Return whether few of the frames hold a row, as in a film of short visits."""
     first = np.full(int(recording.max()) + 1, LARGEST_FRAME)
     last = np.zeros_like(first)
     np.minimum.at(first, recording, frames)
@@ -499,7 +505,7 @@ def _is_sparse(frames: Whole, recording: Whole, individuals: int) -> bool:
 
 
 def _check_extent(
-    table: tables.Table, recording: str, shape: tuple[int, ...], frames: Whole, rows: Whole
+    table: tables.Table, recording: str, shape: tuple[int, ...], frames: Ints, rows: Ints
 ) -> None:
     """Refuse a frame so late that the recording would take more memory than the file may ask."""
     size = math.prod(shape) * 16

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs import files
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require, require_extra
 from animarl_envs.importing.table_layout import (
@@ -38,9 +38,21 @@ from animarl_envs.importing.table_layout import (
 from animarl_envs.settings import LONGEST_NAME
 
 EXTENSIONS = (
-    ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq",
-    ".csv.gz", ".tsv.gz", ".txt.gz",
-)  # fmt: skip
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".dat",
+    ".asc",
+    ".tab",
+    ".xlsx",
+    ".xlsm",
+    ".xls",
+    ".parquet",
+    ".pq",
+    ".csv.gz",
+    ".tsv.gz",
+    ".txt.gz",
+)
 PARQUET = {".parquet", ".pq"}
 PACKED = ".gz"
 HEAD = 2**18  # [bytes] that are looked at
@@ -56,11 +68,11 @@ Progress = Callable[[float], None] | None
 
 
 @dataclass(frozen=True)
-class Words:
+class TextColumn:
     """A column of text: its different entries, sorted, and for each row the number of its own."""
 
     entries: list[str]
-    number: NDArray[np.int64]
+    number: Ints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +99,7 @@ class Table(Layout):
         return f"{kind}, separator {sign}, decimal {self.decimal!r}, first row on {self.first + 1}"
 
     def place(self, row: int) -> str:
-        """Return what messages call a row, counted from 0: its line, of Parquet the row."""
+        """Return the name of a row (from 0) in messages: its line, or of Parquet the row."""
         if self.kind == "Parquet":
             return f"row {row + 1}"
         with contextlib.closing(self._rows()) as file:
@@ -106,7 +118,7 @@ class Table(Layout):
         return [split_cells(line.strip("\r\n"), separator) for line in lines]
 
     def check_names(self) -> None:
-        """Refuse a first line that is no header, or one of absurdly many columns."""
+        """Refuse a first line without names, or one of too many columns."""
         if len(self.names) > MOST_COLUMNS:
             raise InputError(
                 f"{self.path}: it has {len(self.names):,} columns, more than {MOST_COLUMNS:,}: cut "
@@ -133,7 +145,7 @@ class Table(Layout):
         words: Sequence[str] = (),
         progress: Progress = None,
         may_be_empty: Sequence[str] = (),
-    ) -> tuple[dict[str, NDArray[np.float64]], dict[str, Words]]:
+    ) -> tuple[dict[str, Floats], dict[str, TextColumn]]:
         """Return the named columns: numbers, empty cells NaN, and words.
 
         Empty words have the number -1; they are refused but in columns that ``may_be_empty``.
@@ -153,13 +165,13 @@ class Table(Layout):
         column = read(numbers, words, progress)
         if not column.num_rows:
             raise InputError(f"{self.path}: it has a header but no rows: check the file")
-        found = {name: self._words(name, column[name], name in may_be_empty) for name in words}
+        texts = {name: self._words(name, column[name], name in may_be_empty) for name in words}
         values = {name: column[name].to_numpy() for name in numbers}
         if self.names[-1] in values and self._is_cut:
             values[self.names[-1]] = np.append(values[self.names[-1]][:-1], np.nan)
-        return values, found
+        return values, texts
 
-    def _words(self, name: str, column: Any, may_be_empty: bool) -> Words:
+    def _words(self, name: str, column: Any, may_be_empty: bool) -> TextColumn:
         codes = column.combine_chunks()
         codes = codes if hasattr(codes, "dictionary") else codes.dictionary_encode()
         known = [*codes.dictionary.to_pylist(), ""]  # the last one of empty cells
@@ -181,20 +193,20 @@ class Table(Layout):
                 f"{self.path}: {self.place(int((own < 0).argmax()))} has no {name}: fill it in, "
                 "or leave the row out"
             )
-        return Words(entries, own)
+        return TextColumn(entries, own)
 
     @property
     def notes(self) -> list[str]:
-        """What an import says of the file."""
-        found = []
+        """Remarks on the file, for the report of an import."""
+        notes = []
         if self.headless:
-            found.append(f"it has no line of names: taken for {', '.join(self.names)}")
+            notes.append(f"it has no line of names: taken for {', '.join(self.names)}")
         if self._is_cut:
-            found.append(
+            notes.append(
                 "the last line has no line ending and its last number is the shortest, as where a "
                 "copy was cut off: that number is left out"
             )
-        return found
+        return notes
 
     @cached_property
     def _is_cut(self) -> bool:
@@ -215,7 +227,7 @@ class Table(Layout):
     # -- text ----------------------------------------------------------------------------------
 
     def _rows(self) -> IO[bytes]:
-        """The lines of numbers."""
+        """Open the table at its first row."""
         file: IO[bytes]
         file = self.path.open("rb") if self.content is None else io.BytesIO(self.content)
         for _ in range(self.first):
@@ -223,7 +235,7 @@ class Table(Layout):
         return file
 
     def _text(self, numbers: Sequence[str], words: Sequence[str], progress: Progress) -> Any:
-        """Parsed by Arrow, which refuses a line with more or fewer cells than the header."""
+        """Parse columns by Arrow, which refuses lines of another length than the header."""
         pyarrow, arrow = _pyarrow("csv")
         if self.unclear:
             plain, decimal = (self.unclear.replace(self.decimal, sign) for sign in ("", "."))
@@ -232,8 +244,8 @@ class Table(Layout):
                 f"signs between thousands, or say --option decimal={self.decimal!r} if it is the "
                 "decimal sign"
             )
-        asked = [*numbers, *words]
-        at = [str(self.names.index(name)) for name in asked]
+        wanted = [*numbers, *words]
+        at = [str(self.names.index(name)) for name in wanted]
         kinds = [pyarrow.float64()] * len(numbers)
         kinds += [pyarrow.dictionary(pyarrow.int32(), pyarrow.string())] * len(words)
         positions = [str(i) for i in range(len(self.names))]
@@ -247,10 +259,13 @@ class Table(Layout):
                     arrow.ReadOptions(use_threads=False, block_size=BLOCK, column_names=positions),
                     arrow.ParseOptions(delimiter=between, newlines_in_values=True),
                     arrow.ConvertOptions(
-                        column_types=dict(zip(at, kinds, strict=True)), include_columns=at,
-                        null_values=NULLS, strings_can_be_null=True, decimal_point=self.decimal,
+                        column_types=dict(zip(at, kinds, strict=True)),
+                        include_columns=at,
+                        null_values=NULLS,
+                        strings_can_be_null=True,
+                        decimal_point=self.decimal,
                     ),
-                ):  # fmt: skip
+                ):
                     batches.append(batch)
                     if progress is not None:
                         progress(min(file.tell() / size, 1.0))
@@ -258,26 +273,26 @@ class Table(Layout):
             if "Empty CSV file" not in str(error):
                 raise InputError(f"{self.path}: {self._fault(str(error))}") from None
         schema = pyarrow.schema(list(zip(at, kinds, strict=True)))
-        found = pyarrow.Table.from_batches(batches, schema).unify_dictionaries()
-        rows = len(found)
-        while rows and not any(column[rows - 1].is_valid for column in found.columns):
+        table = pyarrow.Table.from_batches(batches, schema).unify_dictionaries()
+        rows = len(table)
+        while rows and not any(column[rows - 1].is_valid for column in table.columns):
             rows -= 1  # spreadsheets write empty rows at the end
-        return found.slice(0, rows).rename_columns(asked)
+        return table.slice(0, rows).rename_columns(wanted)
 
-    def _fault(self, told: str) -> str:
-        """Return where and why Arrow could not go on, and what to do."""
-        if bad := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", told):
+    def _fault(self, message: str) -> str:
+        """Return where and why Arrow failed, and how to fix it."""
+        if bad := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", message):
             return (
                 f"{self.place(int(bad[1]) - 1)} has {bad[2]} cells, the header {len(self.names)}: "
                 "correct the line, or copy the file again"
             )
-        if bad := re.search(r"column #(\d+): Row #(\d+): .* value '(.{0,40})", told, re.DOTALL):
+        if bad := re.search(r"column #(\d+): Row #(\d+): .* value '(.{0,40})", message, re.DOTALL):
             cell = bad[3].removesuffix("'")
             return (
                 f"{self.place(int(bad[2]) - 1)}, column {self.names[int(bad[1])]!r} holds "
                 f"{cell!r}, which is no number: correct it, or name another column by an option"
             )
-        return f"a line cannot be read ({told.splitlines()[0][:200]}): correct it"
+        return f"a line cannot be read ({message.splitlines()[0][:200]}): correct it"
 
     # -- Parquet -------------------------------------------------------------------------------
 
@@ -285,9 +300,9 @@ class Table(Layout):
         pyarrow, types = _pyarrow("types")
         with _open_parquet(self.path, words) as file:
             announced = file.metadata.num_rows
-            found = file.read([*numbers, *words], use_threads=False)
+            table = file.read([*numbers, *words], use_threads=False)
         for name in (*numbers, *words):
-            kind = found.schema.field(name).type
+            kind = table.schema.field(name).type
             kind = kind.value_type if types.is_dictionary(kind) else kind
             text = types.is_string(kind) or types.is_large_string(kind) or types.is_boolean(kind)
             number = types.is_integer(kind) or types.is_floating(kind)
@@ -297,23 +312,23 @@ class Table(Layout):
                     f"(but {kind!s:.80}): name another column by an option"
                 )
         try:
-            found.validate(full=True)
+            table.validate(full=True)
             for name in numbers:  # what no float holds is refused
-                column = found[name].cast(pyarrow.float64())
-                found = found.set_column(found.schema.get_field_index(name), name, column)
+                column = table[name].cast(pyarrow.float64())
+                table = table.set_column(table.schema.get_field_index(name), name, column)
         except (ValueError, NotImplementedError) as error:
             first = str(error).splitlines()[0][:160]
             raise InputError(
                 f"{self.path}: column {name!r} is not numbers ({first}): name another column by an "
                 "option"
             ) from None
-        if len(found) != announced:
+        if len(table) != announced:
             raise InputError(
-                f"{self.path}: it announces {announced} rows and holds {len(found)}: copy it again"
+                f"{self.path}: it announces {announced} rows and holds {len(table)}: copy it again"
             )
         if progress is not None:
             progress(1.0)
-        return found.unify_dictionaries()
+        return table.unify_dictionaries()
 
 
 def open_table(
@@ -433,8 +448,8 @@ def _open_table(
     )
 
 
-def forget_tables() -> None:
-    """Forget files, which may change, and with them what they hold."""
+def clear_caches() -> None:
+    """Clear the caches of open files, which may change."""
     _open_table.cache_clear()
     _read_sheets.cache_clear()
 
@@ -447,7 +462,7 @@ def _decoded(path: Path, encoding: str) -> bytes:
 
 
 def _unpacked(path: Path) -> bytes:
-    """What a gzip file holds, refused where it is more than such a file may ask for."""
+    """Decompress a gzip file; refuse one that expands beyond the size limit."""
     most = files.allowed_bytes(path.stat().st_size)
     with gzip.open(path) as file:
         content = file.read(most + 1)
@@ -463,7 +478,7 @@ def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:
 
 
 def is_workbook(path: Path) -> bool:
-    """Whether the file is an ``.xlsx``, whatever its name."""
+    """Return whether the file is an ``.xlsx``, whatever its name."""
     return "xl/workbook.xml" in files.npz_members(path)
 
 
@@ -473,7 +488,7 @@ def sheet_names(path: Path) -> list[str]:
 
 
 def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
-    """The sheet as UTF-8 with tabs; every row as long as the longest, empty cells nothing."""
+    """Return the sheet as UTF-8 with tabs; all rows have equally many cells."""
     names = sheet_names(path) if sheet is None else [sheet]
     require(
         len(names) == 1,
@@ -488,7 +503,7 @@ def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
 
 
 def _sheets(path: Path) -> dict[str, Any]:
-    """All sheets of a workbook, as they are."""
+    """Return all sheets of a workbook, as they are."""
     files.refuse_special(path)
     status = path.stat()
     return _read_sheets(path, status.st_mtime_ns, status.st_size)

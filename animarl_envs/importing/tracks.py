@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 from animarl_envs.settings import check_names
@@ -23,7 +24,7 @@ LONE = "individual_0"  # of a recording of one animal without a name
 BODY_LENGTH = "body_length"  # in the unit of positions, in notes
 RATE_FROM = "rate_from"  # what says the frame rate, in notes
 TRACKS, TOGETHER_AT_MOST = "tracks", "together_at_most"  # of a recording that was split, in notes
-APART = 0.25  # of a frame that files of one recording may be apart
+MAX_CLOCK_OFFSET = 0.25  # of a frame that files of one recording may be apart
 LARGEST = 1e9  # no tracker writes larger coordinates
 
 
@@ -64,13 +65,13 @@ class Tracks:
     recording: str
     individuals: tuple[str, ...]
     keypoints: tuple[str, ...] = (CENTROID,)
-    positions: NDArray[np.float64]
+    positions: Floats
     frame_rate: float | None = None
     start: int = 0
     start_time: float = 0.0
     unit: str = "px"
     y_down: bool = False
-    confidence: NDArray[np.float64] | None = None
+    confidence: Floats | None = None
     signals: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     events: tuple[str, ...] = ()
     condition: int = 0
@@ -118,7 +119,7 @@ class Tracks:
         return len(self.positions)
 
     @property
-    def bodies(self) -> NDArray[np.float64]:
+    def bodies(self) -> Floats:
         """Positions ``(frames, individuals, 2)`` once a keypoint was chosen."""
         require(
             len(self.keypoints) == 1,
@@ -127,7 +128,12 @@ class Tracks:
         )
         return self.positions[:, :, 0]
 
-    def with_bodies(self, bodies: NDArray[np.float64], **changes: Any) -> Tracks:
+    @property
+    def tracked(self) -> Bools:
+        """Whether each body was tracked, ``(frames, individuals)``."""
+        return np.asarray(np.isfinite(self.bodies).all(axis=2))
+
+    def with_bodies(self, bodies: Floats, **changes: Any) -> Tracks:
         """Return the same with other positions ``(frames, individuals, 2)``."""
         return replace(self, positions=bodies[:, :, None], confidence=None, **changes)
 
@@ -166,7 +172,7 @@ class Tracks:
 
 
 def trim(tracks: Tracks) -> Tracks:
-    """Cut the frames without anybody before the first and after the last animal."""
+    """Cut the frames without animals before the first and after the last animal."""
     seen = np.flatnonzero(np.isfinite(tracks.positions).any(axis=(1, 2, 3)))
     if not len(seen) or (seen[0] == 0 and seen[-1] == len(tracks) - 1):
         return tracks
@@ -174,7 +180,7 @@ def trim(tracks: Tracks) -> Tracks:
 
 
 def split_individuals(tracks: Tracks) -> list[Tracks]:
-    """Return a recording of each animal, from its first to its last frame, where they come and go.
+    """Return a recording of each animal, from its first to its last frame, if they come and go.
 
     The recording stays whole if all of its animals are there in a tenth of its frames or more, or
     if half of a group is there on average (:func:`in_groups`). Animals of one frame are left out.
@@ -188,12 +194,14 @@ def split_individuals(tracks: Tracks) -> list[Tracks]:
     note = {TOGETHER_AT_MOST: int(seen.sum(axis=1).max()), TRACKS: len(alone)}
     return [
         replace(
-            one, recording=f"{tracks.recording}/{one.individuals[0]}", individuals=(LONE,),
+            one,
+            recording=f"{tracks.recording}/{one.individuals[0]}",
+            individuals=(LONE,),
             provenance={**tracks.provenance, **note},
         )
         for one in alone
         if len(one) > 1
-    ]  # fmt: skip
+    ]
 
 
 def body_length(recordings: Sequence[Tracks]) -> float | None:
@@ -236,48 +244,42 @@ def in_groups(recordings: Sequence[Tracks], piece: float | None, parts: int) -> 
     many in each as keeps most of the tracks, the nearest to their common centre. Of the others
     nothing is seen.
     """
-    seen: list[NDArray[np.bool_]] = [
-        np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in recordings
-    ]
+    seen = [tracks.tracked for tracks in recordings]
     alike = len({tracks.individuals for tracks in recordings}) == 1
     if min(len(tracks.individuals) for tracks in recordings) < 3 or (
         alike and np.concatenate(seen).all(axis=1).mean() >= PRESENT
     ):
         return [[tracks] for tracks in recordings]
-    lengths = [
-        max(2, round(piece * (tracks.frame_rate or 1.0)) if piece is not None
-            else sum(map(len, seen)) // parts)
-        for tracks in recordings
-    ]  # fmt: skip
-    found = [
-        [(slice(first, first + length), np.asarray(own[first : first + length].all(axis=0)))
-         for first in range(0, len(own) - length + 1, length)]
-        for own, length in zip(seen, lengths, strict=True)
-    ]  # fmt: skip
-    counts = np.array([there.sum() for pieces in found for _, there in pieces])
+    pieces = []  # of each recording: its frames, and who is there throughout
+    for tracks, own in zip(recordings, seen, strict=True):
+        length = sum(map(len, seen)) // parts
+        if piece is not None:
+            length = round(piece * (tracks.frame_rate or 1.0))
+        length = max(2, length)
+        starts = range(0, len(own) - length + 1, length)
+        frames = [slice(start, start + length) for start in starts]
+        pieces.append([(when, np.asarray(own[when].all(axis=0))) for when in frames])
+    counts = np.array([there.sum() for some in pieces for _, there in some])
     least = np.unique(counts[counts > 2])
     if not len(least):
         raise InputError(
             f"{recordings[0].recording}: no three animals are there throughout a piece of "
-            f"{lengths[0]} frames: fill gaps by --max-gap, or choose a shorter --piece"
+            f"{length} frames: fill gaps by --max-gap, or choose a shorter --piece"
         )
     number = int(max(least, key=lambda k: k * (counts >= k).sum()))
     names = tuple(f"animal_{k}" for k in range(number))
     return [
-        [_group_of(tracks, when, there, names)
-         for when, there in pieces if there.sum() >= number]
-        for tracks, pieces in zip(recordings, found, strict=True)
-    ]  # fmt: skip
+        [_group_of(tracks, when, there, names) for when, there in some if there.sum() >= number]
+        for tracks, some in zip(recordings, pieces, strict=True)
+    ]
 
 
-def _group_of(
-    tracks: Tracks, when: slice, there: NDArray[np.bool_], names: tuple[str, ...]
-) -> Tracks:
+def _group_of(tracks: Tracks, when: slice, there: Bools, names: tuple[str, ...]) -> Tracks:
     """Return a piece with those animals that are ``there`` nearest to their centre."""
-    who = np.flatnonzero(there)
-    mean = tracks.bodies[when][:, who].mean(axis=0)
+    present = np.flatnonzero(there)
+    mean = tracks.bodies[when][:, present].mean(axis=0)
     inner = np.argsort(np.linalg.norm(mean - mean.mean(axis=0), axis=1), kind="stable")
-    own = tracks.choose([tracks.individuals[i] for i in np.sort(who[inner[: len(names)]])])
+    own = tracks.choose([tracks.individuals[i] for i in np.sort(present[inner[: len(names)]])])
     return own.within(when, individuals=names)
 
 
@@ -332,14 +334,14 @@ def disambiguate_by_folder(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[P
             )
         if twice:
             above[recording] = os.path.commonpath([file.parent.resolve() for file in paths])
-    found = []
+    named = []
     for file, tracks in parts:
         name = tracks.recording
         if name in above:
             folder = file.parent.resolve().relative_to(above[name]).as_posix()
             name = name if folder == "." else f"{folder}/{name}"
-        found.append((file, replace(tracks, recording=name)))
-    return found
+        named.append((file, replace(tracks, recording=name)))
+    return named
 
 
 def separate_arenas(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tracks]]:
@@ -347,13 +349,13 @@ def separate_arenas(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tr
     arenas: dict[str, set[str]] = {}
     for _, tracks in parts:
         arenas.setdefault(tracks.recording, set()).add(tracks.provenance.get("arena", ""))
-    found = []
+    separated = []
     for file, tracks in parts:
         if len(arenas[tracks.recording]) > 1:
             arena = tracks.provenance.get("arena") or "no arena"
             tracks = replace(tracks, recording=f"{tracks.recording}/{arena}")
-        found.append((file, tracks))
-    return found
+        separated.append((file, tracks))
+    return separated
 
 
 def merge(parts: Sequence[Tracks]) -> list[Tracks]:
@@ -375,7 +377,7 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
     exact = [(part.start_time - begin) * (part.frame_rate or 0.0) + part.start for part in group]
     late = [round(frames) for frames in exact]
     require(
-        max(abs(a - b) for a, b in zip(exact, late, strict=True)) <= APART,
+        max(abs(a - b) for a, b in zip(exact, late, strict=True)) <= MAX_CLOCK_OFFSET,
         f"{first.recording}: its files begin at times between each other's frames: resample "
         "them, or import them one by one",
     )
@@ -388,7 +390,7 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
         "recording: import them one by one",
     )
 
-    def joined(values: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
+    def joined(values: Sequence[NDArray[Any]]) -> Floats:
         shifted = []
         for own, after in zip(values, late, strict=True):
             shifted.append(np.full((frames, *own.shape[1:]), np.nan))

@@ -1,4 +1,4 @@
-"""What a species is: numbers with units, no behaviour, in one frozen spec per species."""
+"""Specs of species: frozen numbers with units, without behaviour."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Bools
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.settings import Count, CountOrZero, NotNegative, Positive, check_fields
@@ -149,7 +149,7 @@ class Species(ABC):
         """``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual."""
 
     @property
-    def pursuing(self) -> NDArray[np.bool_]:
+    def pursuing(self) -> Bools:
         """Mask of the individuals that are not targets, ``(K,)``."""
         return np.array([role != "target" for role in self.roles])
 
@@ -165,7 +165,7 @@ class Species(ABC):
 
 
 def checked_bodies(given: Any) -> tuple[str, ...]:
-    """One or two names of :data:`BODIES` as a tuple.
+    """Return one or two names of :data:`BODIES` as a tuple; refuse others.
 
     Raises
     ------

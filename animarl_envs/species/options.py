@@ -71,7 +71,7 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
 
 
 def _with_members(species: Species, options: dict[str, Any]) -> Species:
-    """Return the species with other individuals, as those of ``options`` say that tell who."""
+    """Return the species with the individuals that options ask for."""
     counts = {key: options.pop(key, None) for key in COUNTS}
     given = options.pop("individuals", None)
     if not isinstance(given, Iterable | None) or isinstance(given, str):
@@ -117,7 +117,7 @@ def _with_members(species: Species, options: dict[str, Any]) -> Species:
 def _with_animals(
     species: ChaseSpecies, names: tuple[str, ...] | None, count: int | None
 ) -> ChaseSpecies:
-    """Return the species with other animals, all alike, of whom nobody is pursued."""
+    """Return the species with free animals, which are all alike."""
     if names is None and count in (None, species.num_individuals):
         names = species.individuals
     elif names is None:
@@ -128,7 +128,7 @@ def _with_animals(
 
 
 def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
-    """Return the species with ``count`` targets and one pursuer, the first, who comes last."""
+    """Return the species with one pursuer (placed last) and ``count`` targets."""
     if not species.lone_pursuer:
         names = (f"{species.individuals[-1]}_0", species.individuals[0])
         species = species.of_individuals((-1, 0), names, lone_pursuer=True)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.errors import require_extra
-
-Floats = NDArray[np.float64]
 
 TRAITS = ("own speed", "own turning")
 LARGEST = 3.0  # no individual is said to be further from the mean [sd]

@@ -18,8 +18,8 @@ from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt, Lt
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Positive, check_fields
 
@@ -51,10 +51,10 @@ class Turning:
 
     def next_turn(
         self,
-        turn: NDArray[np.float64],
-        heading: NDArray[np.float64],
-        velocity: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        turn: Floats,
+        heading: Floats,
+        velocity: Floats,
+    ) -> Floats:
         """Return the turn of a step [rad], ``(...)``.
 
         ``turn`` and ``heading`` ``(...)`` are those before the step [rad], ``velocity``

@@ -14,6 +14,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Ints
 from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, MissingExtraError, also_list_options_of
 from animarl_envs.focus import first_pursuer
@@ -214,7 +215,7 @@ def check_action(action: Any, num_actions: int, of_individual: str = "") -> int:
     return number
 
 
-def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDArray[np.int64]:
+def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> Ints:
     """Return actions as an integer array of that shape.
 
     Raises InputError if the shape is wrong, a number is not whole, or an action is out of range.
@@ -230,7 +231,7 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
     return array.astype(np.int64, copy=False)
 
 
-def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> NDArray[np.int64] | None:
+def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> Ints | None:
     """Return the option ``demo`` of ``reset``, one number for each copy (-1: any).
 
     Raises InputError if a demonstration does not exist.

@@ -13,13 +13,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.views import common
 
 
 class AnimalVectorEnv(  # type: ignore[misc]
-    common.FocalView, VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]
+    common.FocalView, VectorEnv[NDArray[np.float32], Ints, NDArray[Any]]
 ):
     """``num_envs`` copies of an :class:`~animarl_envs.views.single.AnimalEnv` in one kernel call.
 
@@ -125,7 +126,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         described[:] = [json.loads(self._description)] * self.num_envs
         return self._observation(), self._masked(infos | {"scenario": described})
 
-    def _seed(self, seed: int | Sequence[int | None] | None, mask: NDArray[np.bool_]) -> None:
+    def _seed(self, seed: int | Sequence[int | None] | None, mask: Bools) -> None:
         """Start the random streams: before the first episode, and whenever a seed is given.
 
         Those of copies that run on, outside of ``mask``, stay.
@@ -150,7 +151,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         self.world.random_state[kept] = streams[kept]
 
     def step(
-        self, actions: NDArray[np.int64]
+        self, actions: Ints
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """One decision step of every copy."""
         if not self._started:
@@ -187,7 +188,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
             self._ended = np.zeros_like(ended)
         return self._observation(), reward, terminated, truncated, infos
 
-    def _reset_same_step(self, ended: NDArray[np.bool_], infos: dict[str, Any]) -> None:
+    def _reset_same_step(self, ended: Bools, infos: dict[str, Any]) -> None:
         """Keep what ended under ``final_obs`` and ``final_info``, and start anew."""
         last = self._observation()
         final = np.full(self.num_envs, None, dtype=object)

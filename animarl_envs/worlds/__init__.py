@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Ints
 from animarl_envs.species import Species
 
 if TYPE_CHECKING:
@@ -60,9 +61,9 @@ class Mirror:
     """Observations and actions of a world, seen in a mirror along the x axis of the arena frame."""
 
     # The mirrored observation has component order[c] times sign[c] in place c.
-    order: NDArray[np.int64]  # (n,)
+    order: Ints  # (n,)
     sign: NDArray[np.float32]  # (n,), 1 or -1
-    actions: NDArray[np.int64]  # (actions,), the mirrored action of each
+    actions: Ints  # (actions,), the mirrored action of each
 
     def observation(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return mirrored observations ``(..., n)``."""

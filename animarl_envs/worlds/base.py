@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
@@ -44,9 +45,9 @@ class ObservationComponent(NamedTuple):
 class FlatDemos(NamedTuple):
     """Demonstrations as kernels read them; empty arrays where there are none."""
 
-    position: NDArray[np.float64]  # (frames, K, 2)
-    velocity: NDArray[np.float64]  # (frames, K, 2)
-    start: NDArray[np.int64]  # (episodes + 1,)
+    position: Floats  # (frames, K, 2)
+    velocity: Floats  # (frames, K, 2)
+    start: Ints  # (episodes + 1,)
     condition: NDArray[np.int8]  # (episodes,)
 
 
@@ -192,9 +193,7 @@ class World(ABC):
         """Start the random stream of copy ``b`` from ``seeds[b]`` (any non-negative integers)."""
         seed_streams(np.asarray(seeds, dtype=np.uint64), self.random_state)
 
-    def reset(
-        self, mask: NDArray[np.bool_] | None = None, demo: NDArray[np.int64] | None = None
-    ) -> None:
+    def reset(self, mask: Bools | None = None, demo: Ints | None = None) -> None:
         """Start new episodes in the copies where ``mask`` is true (in all, by default).
 
         ``demo`` ``(B,)`` names the demonstration to pair each with; -1 draws one at random.
@@ -238,7 +237,7 @@ class World(ABC):
             tracker.stepped(self)
 
     @abstractmethod
-    def _start(self, mask: NDArray[np.bool_]) -> None:
+    def _start(self, mask: Bools) -> None:
         """Set the first state of new episodes and sense it."""
 
     @abstractmethod
@@ -261,7 +260,7 @@ class World(ABC):
         return np.where(self.warming[:, None], recorded, actions)
 
     @cached_property
-    def _demonstrated(self) -> NDArray[np.int64]:
+    def _demonstrated(self) -> Ints:
         """The actions of all recorded frames, ``(frames, K)``; computed when first needed."""
         assert self.demos is not None
         recorded = demonstrated_actions(self.demos, self.scenario.species.locomotion).astype(
@@ -270,7 +269,7 @@ class World(ABC):
         recorded.flags.writeable = False
         return recorded
 
-    def _disturb(self, mask: NDArray[np.bool_]) -> None:
+    def _disturb(self, mask: Bools) -> None:
         """Apply observation delay and noise."""
         seen = self.sensed
         if len(self._history):

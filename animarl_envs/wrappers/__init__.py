@@ -48,7 +48,7 @@ Cue = Literal["actual", "flipped", 0, 1]
 
 
 def cue_of(condition: NDArray[np.integer], cue: Cue) -> NDArray[np.int8]:
-    """Return the conditions ``(...)`` as the cue tells them."""
+    """Return the conditions ``(...)`` that a cue shows."""
     flag = {"actual": condition, "flipped": 1 - condition}.get(str(cue))
     return np.array(np.full(condition.shape, cue) if flag is None else flag, dtype=np.int8)
 
@@ -253,7 +253,7 @@ class DTWRewardVector(_DTW, VectorWrapper):
     def _note(
         self, infos: dict[str, Any], paid: Any, distance: Any, step: Any, copies: Any
     ) -> None:
-        """Write rewards' parts and the alignment of the copies ``whose`` to ``infos``."""
+        """Write rewards' parts and the alignment of ``copies`` (a mask) to ``infos``."""
         parts = {"dtw_distance": distance[:, 0].copy(), "aligned_step": step[:, 0].copy()} | paid
         infos |= parts | {f"_{key}": copies.copy() for key in parts}
 

@@ -20,6 +20,7 @@ PACKAGES = ("animarl_envs", "animarl_algos")
 # From low to high; a room imports from itself and from rooms below. A package's own name is its
 # front door (``__init__``), the last of its rooms.
 ROOMS = (
+    "animarl_envs.array_types",
     "animarl_envs.compiling",
     "animarl_envs.errors",
     "animarl_envs.files",
@@ -77,24 +78,24 @@ BUDGETS = {
     "animarl_algos.replay": 5_850,
     "animarl_algos.report": 13_800,
     "animarl_algos.runs": 13_200,
-    "animarl_algos.whatif": 17_000,
+    "animarl_algos.whatif": 16_750,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 15_200,
-    "animarl_envs.demos": 8_500,
-    "animarl_envs.drawing": 9_590,
-    "animarl_envs.fitting": 12_600,
-    "animarl_envs.importing": 52_700,
-    "animarl_envs.species": 6_870,
-    "animarl_envs.views": 6_270,
-    "animarl_envs.worlds": 34_950,
-    "animarl_envs.wrappers": 2_140,
+    "animarl_envs.demos": 8_350,
+    "animarl_envs.drawing": 9_350,
+    "animarl_envs.fitting": 12_400,
+    "animarl_envs.importing": 52_550,
+    "animarl_envs.species": 6_500,
+    "animarl_envs.views": 5_850,
+    "animarl_envs.worlds": 34_200,
+    "animarl_envs.wrappers": 2_120,
 }
 """Most tokens of each folder, as ``tools.lines`` counts them; lower them as folders shrink."""
 ALL_TOKENS = 315_500
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 2_680
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 30_080
+TEST_LINES = 30_191
 """Most lines of Python in the tests; they are to be 24,000."""
 
 

@@ -26,8 +26,24 @@ from animarl_envs.importing.readers.registry import (
 )
 
 __all__ = [
-    "Reader", "arrays", "authors", "available_readers", "deeplabcut", "default_recipe", "files_in",
-    "find_reader", "follow", "get_reader", "load_readers", "matlab_structs", "movement",
-    "published", "read", "read_tracks", "register_track_reader", "sleap", "table_files",
+    "Reader",
+    "arrays",
+    "authors",
+    "available_readers",
+    "deeplabcut",
+    "default_recipe",
+    "files_in",
+    "find_reader",
+    "follow",
+    "get_reader",
+    "load_readers",
+    "matlab_structs",
+    "movement",
+    "published",
+    "read",
+    "read_tracks",
+    "register_track_reader",
+    "sleap",
+    "table_files",
     "trackers",
-]  # fmt: skip
+]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.errors import InputError
 from animarl_envs.files import load_npy, npz_members, read_npz
 from animarl_envs.importing.hdf import is_hdf, open_hdf, read_dataset
@@ -41,7 +42,7 @@ def read_arrays(
     unit: str = "px",
     y_down: bool = False,
 ) -> list[Tracks]:
-    """One recording, or every array of a file as one where ``key`` is ``"*"``.
+    """Read one recording, or every array of a file as one where ``key`` is ``"*"``.
 
     Axes are as NumPy and MATLAB show them (MATLAB 7.3 stores them reversed, which is undone).
     """
@@ -59,21 +60,26 @@ def read_arrays(
         chosen = plausible
     if not chosen:
         raise InputError(f"{path}: {_what_it_holds(arrays, list(numbers))}")
-    found = []
+    recordings = []
     for name, array in chosen.items():
         positions = _ordered(path, name, array, axes)
         individuals = _names(path, "individual", names, positions.shape[1])
         parts = _names(path, "keypoint", keypoints, positions.shape[2])
         if keypoints is None and positions.shape[2] == 1:
             parts = (CENTROID,)
-        found.append(
+        recordings.append(
             Tracks(
-                recording=path.stem if len(chosen) == 1 else name, individuals=individuals,
-                keypoints=parts, positions=positions, frame_rate=fps, unit=unit, y_down=y_down,
+                recording=path.stem if len(chosen) == 1 else name,
+                individuals=individuals,
+                keypoints=parts,
+                positions=positions,
+                frame_rate=fps,
+                unit=unit,
+                y_down=y_down,
                 provenance={"file": path.name},
             )
-        )  # fmt: skip
-    return found
+        )
+    return recordings
 
 
 def _what_it_holds(arrays: dict[str, NDArray[Any]], numbers: list[str]) -> str:
@@ -116,10 +122,8 @@ def matlab_variables(path: Path) -> dict[str, NDArray[Any]]:
     return {name: value for name, value in loadmat(path).items() if hasattr(value, "dtype")}
 
 
-def _ordered(
-    path: Path, name: str, array: NDArray[Any], axes: Sequence[str] | None
-) -> NDArray[np.float64]:
-    """Axes (frame, individual, keypoint, xy)."""
+def _ordered(path: Path, name: str, array: NDArray[Any], axes: Sequence[str] | None) -> Floats:
+    """Return an array with the axes frame, individual, keypoint and xy."""
     if array.dtype.kind not in "iuf":
         raise InputError(f"{path}: {name} is {array.dtype}, not numbers: choose another key")
     given = tuple(axes) if axes is not None else DEFAULT_AXES.get(array.ndim, ())

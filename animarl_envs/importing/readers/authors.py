@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import npz_members, read_npz, refuse_unfinished
 from animarl_envs.importing.plain_pickle import load_plain
-from animarl_envs.importing.readers.registry import Floats, numbers, register_track_reader
+from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH, Species
 
@@ -47,14 +48,16 @@ def _chase_defaults(species: Species) -> dict[str, Any]:
         "decision_rate": 1.0 / species.dt,
         "cleaning": {"smoothing_cutoff": species.recording.smoothing_cutoff},
         "scaling": {
-            "shape": species.arena.shape, "width": 2.0, "centre": (0.0, 0.0),
+            "shape": species.arena.shape,
+            "width": 2.0,
+            "centre": (0.0, 0.0),
             "boundary": species.arena.boundary,
         },
-    }  # fmt: skip
+    }
 
 
 def _nested(value: Any) -> list[Any]:
-    """A list, or the list of a squeezed object array."""
+    """Return a list, also of a squeezed object array."""
     if isinstance(value, np.ndarray):
         value = np.squeeze(value)
         return _nested(value.item()) if value.ndim == 0 and value.dtype.hasobject else list(value)
@@ -64,14 +67,14 @@ def _nested(value: Any) -> list[Any]:
 
 
 def _tracks(path: Path, number: int, paths: list[Any], species: Species, **more: Any) -> Tracks:
-    """One episode; a path holds x and y per frame, and whatever else."""
-    found: list[Floats] = []
+    """Return one episode; a path holds x and y per frame, and further columns."""
+    tracks: list[Floats] = []
     for value in paths:
         array = np.asarray(value, dtype=np.float64)
         array = array.reshape(len(array), -1)
         require(array.shape[1] > 1, f"{path}: episode {number} has no x and y per frame: check it")
-        found.append(array[:, :2])
-    lengths = sorted({len(one) for one in found})
+        tracks.append(array[:, :2])
+    lengths = sorted({len(one) for one in tracks})
     require(
         len(lengths) == 1,
         f"{path}: episode {number} has {lengths} frames for its individuals: give each as many",
@@ -79,7 +82,7 @@ def _tracks(path: Path, number: int, paths: list[Any], species: Species, **more:
     return Tracks(
         recording=f"{path.stem}/{number:04d}",
         individuals=species.individuals,
-        positions=np.stack(found, axis=1)[:, :, None],
+        positions=np.stack(tracks, axis=1)[:, :, None],
         frame_rate=species.recording.frame_rate,
         unit="arena unit",
         provenance=PAPER,
@@ -96,14 +99,14 @@ def _tracks(path: Path, number: int, paths: list[Any], species: Species, **more:
     | {"cutting": {"piece": math.inf, "contact": AGENT.contact_radius}},
 )
 def read_authors_agents(path: Path) -> list[Tracks]:
-    """Key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
+    """Read key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
     condition = 1 if "share" in path.name else 0
-    found = []
+    episodes = []
     for number, episode in enumerate(_nested(read_npz(path, load_plain)["pos"])):
         prey, *predators = _nested(episode)
         if len(prey) >= FEWEST_AGENT_FRAMES:
-            found.append(_tracks(path, number, [*predators, prey], AGENT, condition=condition))
-    return found
+            episodes.append(_tracks(path, number, [*predators, prey], AGENT, condition=condition))
+    return episodes
 
 
 @register_track_reader(
@@ -114,20 +117,20 @@ def read_authors_agents(path: Path) -> list[Tracks]:
     defaults=_chase_defaults(FLY),
 )
 def read_authors_fly(path: Path) -> list[Tracks]:
-    """Key ``states``: [individual][episode] of (frames, 1, >= 2) at 30 Hz; ``rewards`` likewise."""
+    """Read key ``states``, [individual][episode] of (frames, 1, >= 2) at 30 Hz, and ``rewards``."""
     objects = read_npz(path, load_plain)
     states, rewards = ([*map(_nested, _nested(objects[key]))] for key in ("states", "rewards"))
     require(
         len(states) == 3 and len({len(one) for one in states}) == 1,
         f"{path}: states are of {len(states)} individuals, not 3: check the file",
     )
-    found = []
+    episodes = []
     for number, paths in enumerate(zip(*states, strict=True)):
         if len(paths[0]) >= FEWEST_FLY_FRAMES:
             ends = [np.asarray(own[number], np.float64).ravel()[-1] > 0 for own in rewards[:2]]
             outcome = ends.index(True) + 1 if any(ends) else UNFINISHED
-            found.append(_tracks(path, number, [*paths], FLY, outcome=outcome))
-    return found
+            episodes.append(_tracks(path, number, [*paths], FLY, outcome=outcome))
+    return episodes
 
 
 @register_track_reader(
@@ -138,7 +141,7 @@ def read_authors_fly(path: Path) -> list[Tracks]:
     defaults=_chase_defaults(NEWT),
 )
 def read_authors_newt(path: Path) -> list[Tracks]:
-    """One array per episode, (frames, >= 5, >= 2), positions at columns 0, 2, 4; 30 Hz."""
+    """Read one array per episode, (frames, >= 5, >= 2), positions at columns 0, 2, 4; 30 Hz."""
     number_of_file = path.stem.removeprefix("state_m1_data")
     rewards = []
     for male in ("m1", "m2"):
@@ -146,7 +149,7 @@ def read_authors_newt(path: Path) -> list[Tracks]:
         rewards.append(read_npz(beside, load_plain) if beside.exists() else {})
     rate = NEWT.recording.frame_rate
     kept = round(NEWT_STEPS * NEWT.dt * rate) + 1
-    found = []
+    episodes = []
     for number, (key, value) in enumerate(read_npz(path, load_plain).items()):
         array = numbers(path, key, np.asarray(value, np.float64), "frames", "columns", "x, y, ...")
         array = array[:, NEWT_COLUMNS, :2]
@@ -157,8 +160,8 @@ def read_authors_newt(path: Path) -> list[Tracks]:
             ends = [np.asarray(r[key]).ravel()[-1] if key in r else 0.0 for r in rewards]
             outcome = ends.index(max(ends)) + 1 if max(ends) > 0 else UNFINISHED
             paths = [array[-kept:, i] for i in range(3)]
-            found.append(_tracks(path, number, paths, NEWT, outcome=outcome))
-    return found
+            episodes.append(_tracks(path, number, paths, NEWT, outcome=outcome))
+    return episodes
 
 
 @register_track_reader(
@@ -173,7 +176,10 @@ def read_authors_newt(path: Path) -> list[Tracks]:
     },
 )
 def read_authors_silkmoth(path: Path) -> list[Tracks]:
-    """No header: time, x, y [mm], angle, left odour, right odour, vision, wind sector; 30 Hz."""
+    """Read a table without header, at 30 Hz.
+
+    Its columns are time, x, y [mm], angle, left odour, right odour, vision and wind sector.
+    """
     refuse_unfinished(path)
     table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
     table = numbers(path, "its table", table, "frames", 8)

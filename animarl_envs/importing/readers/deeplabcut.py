@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing import tables
@@ -24,7 +24,6 @@ from animarl_envs.importing.plain_pickle import load_plain
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.tracks import LONE, Tracks
 
-Floats = NDArray[np.float64]
 Column = tuple[str, str, str]  # individual, body part, coordinate
 COORDINATES = ("x", "y", "likelihood")
 UNIQUE = "single"  # DeepLabCut's "individual" that holds landmarks, such as corners of the arena
@@ -53,7 +52,7 @@ def _is_deeplabcut(path: Path) -> bool:
     extensions=(".h5", ".hdf5", *tables.EXTENSIONS),
 )
 def read_deeplabcut(path: Path, fps: float | None = None) -> list[Tracks]:
-    """All body parts with their likelihood, in pixels; the files hold no frame rate.
+    """Read all body parts with their likelihood, in pixels; the files hold no frame rate.
 
     Frames may begin at any number. The unique body parts of a project with several animals are
     landmarks: they are left out, and named as not used.
@@ -156,10 +155,10 @@ def _columns(path: Path, levels: Sequence[Sequence[str]]) -> list[Column]:
     columns = [(a, b, c) for a, b, c in zip(*levels, strict=True)]
     once = len(set(columns)) == len(columns) > 0
     require(once, f"{path}: a column appears twice in its header: drop the duplicate")
-    found: dict[tuple[str, str], set[str]] = {}
+    coordinates: dict[tuple[str, str], set[str]] = {}
     for owner, part, coordinate in columns:
-        found.setdefault((owner, part), set()).add(coordinate)
-    for (owner, part), own in found.items():
+        coordinates.setdefault((owner, part), set()).add(coordinate)
+    for (owner, part), own in coordinates.items():
         require(
             {"x", "y"} <= own <= set(COORDINATES),
             f"{path}: {part!r} of {owner!r} has columns {', '.join(sorted(own))}, not x, "

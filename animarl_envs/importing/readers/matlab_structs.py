@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.episode import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing.clock import rate_of_rows
@@ -14,7 +14,6 @@ from animarl_envs.importing.readers.arrays import matlab_variables
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.tracks import Tracks
 
-Floats = NDArray[np.float64]
 CTRAX = {"x_pos", "y_pos", "ntargets", "identity"}
 USED = {"x", "y", "x_mm", "y_mm", "firstframe", "fps", "id", "timestamps", "pos x", "pos y"}
 
@@ -37,7 +36,7 @@ def _variable_names(path: Path) -> set[str]:
     extensions=(".mat",),
 )
 def read_ctrax(path: Path, fps: float | None = None) -> list[Tracks]:
-    """All animals of a movie, in mm where the struct has them, else in pixels."""
+    """Read all animals of a movie, in mm where the struct has them, else in pixels."""
     variables = matlab_variables(path)
     if "trx" in variables:
         tracks = variables["trx"].ravel()
@@ -81,10 +80,16 @@ def read_ctrax(path: Path, fps: float | None = None) -> list[Tracks]:
         stated = rate_of_rows(path, time, lambda row: f"timestamp {row + 1}")
     return [
         _recording(
-            path, path.stem, individuals, first, paths, rest, frame_rate=fps or stated,
+            path,
+            path.stem,
+            individuals,
+            first,
+            paths,
+            rest,
+            frame_rate=fps or stated,
             unit="mm" if ending else "px",
         )
-    ]  # fmt: skip
+    ]
 
 
 @register_track_reader(
@@ -94,7 +99,7 @@ def read_ctrax(path: Path, fps: float | None = None) -> list[Tracks]:
     extensions=(".mat",),
 )
 def read_flytracker(path: Path, fps: float | None = None) -> list[Tracks]:
-    """All flies in pixels; the frame rate stands in another file, the calibration."""
+    """Read all flies in pixels; the frame rate stands in another file, the calibration."""
     struct = matlab_variables(path)["trk"]
     fields = set(struct.dtype.names or ())
     require(

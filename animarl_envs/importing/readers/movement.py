@@ -31,7 +31,7 @@ INDIVIDUALS, KEYPOINTS = ("individual", "individuals"), ("keypoint", "keypoints"
     extensions=(".nc",),
 )
 def read_netcdf(path: Path, fps: float | None = None) -> list[Tracks]:
-    """Poses or boxes of all individuals, in pixels; the first two axes of poses in space."""
+    """Read poses or boxes of all individuals, in pixels; the first two axes of poses in space."""
     require(
         not _is_classic(path),
         f"{path}: it is of netCDF's classic format: save it by dataset.to_netcdf(path, "
@@ -101,32 +101,36 @@ def _axes(path: Path, file: Any, key: str) -> list[str]:
     extensions=(".nwb",),
 )
 def read_nwb(path: Path, fps: float | None = None) -> list[Tracks]:
-    """All estimated poses: each container is an individual, each processing module a recording.
+    """Read all estimated poses: a container is an individual, a processing module a recording.
 
     Files of one individual are merged by --merge-individuals.
     """
     with open_hdf(path, soft_links=True) as file:
-        found: dict[str, list[str]] = {}
+        recordings: dict[str, list[str]] = {}
 
         def collect(name: str, thing: Any) -> None:
             if hdf_text(thing.attrs.get("neurodata_type", "")) == "PoseEstimation":
-                found.setdefault(name.rpartition("/")[0], []).append(name)
+                recordings.setdefault(name.rpartition("/")[0], []).append(name)
 
         file.visititems(collect)
-        require(found, f"{path}: it holds no PoseEstimation of ndx-pose: export the poses to it")
+        require(
+            recordings, f"{path}: it holds no PoseEstimation of ndx-pose: export the poses to it"
+        )
         subject = "general/subject/subject_id"
         alone = hdf_text(read_dataset(path, file, subject)) if subject in file else LONE
-        recordings = []
-        for module, containers in found.items():
+        parts_of_all: list[Tracks] = []
+        for module, containers in recordings.items():
             names = [name.rpartition("/")[2].removeprefix("track=") for name in containers]
-            recording = path.stem if len(found) == 1 else f"{path.stem}/{module.rpartition('/')[2]}"
+            recording = (
+                path.stem if len(recordings) == 1 else f"{path.stem}/{module.rpartition('/')[2]}"
+            )
             parts = [_nwb_individual(path, file, name, fps) for name in containers]
             names = [alone] if len(names) == 1 else names
-            recordings += [
+            parts_of_all += [
                 replace(part, recording=recording, individuals=(name,))
                 for part, name in zip(parts, names, strict=True)
             ]
-    return merge(recordings)
+    return merge(parts_of_all)
 
 
 def _nwb_individual(path: Path, file: Any, container: str, fps: float | None) -> Tracks:
@@ -187,7 +191,7 @@ def _nwb_individual(path: Path, file: Any, container: str, fps: float | None) ->
 def read_movement(
     path: Path, software: str = "DeepLabCut", fps: float | None = None
 ) -> list[Tracks]:
-    """Poses of a ``movement`` dataset; ``software`` is its ``source_software``.
+    """Return poses of a ``movement`` dataset; ``software`` is its ``source_software``.
 
     Only ``.csv`` is handed to the package; see this module's text.
     """
@@ -201,19 +205,19 @@ def read_movement(
     finally:
         logger.enable("movement")
     position, confidence = dataset["position"], dataset.get("confidence")
-    (who,) = set(INDIVIDUALS) & set(position.dims)
+    (individual,) = set(INDIVIDUALS) & set(position.dims)
     points = set(KEYPOINTS) & set(position.dims)
     keypoints = tuple(str(name) for axis in points for name in position.coords[axis].values)
     scores = None
     if confidence is not None:
-        scores = np.asarray(confidence.transpose("time", who, ...).values, dtype=np.float64)
+        scores = np.asarray(confidence.transpose("time", individual, ...).values, dtype=np.float64)
         scores = scores.reshape(*scores.shape[:2], -1)
-    values = position.transpose("time", who, *points, "space").values[..., :2]
+    values = position.transpose("time", individual, *points, "space").values[..., :2]
     values = np.asarray(values, dtype=np.float64)
     return [
         Tracks(
             recording=path.stem,
-            individuals=tuple(str(name) for name in position.coords[who].values),
+            individuals=tuple(str(name) for name in position.coords[individual].values),
             keypoints=keypoints or (CENTROID,),
             positions=values.reshape(*values.shape[:2], -1, 2),
             frame_rate=fps,

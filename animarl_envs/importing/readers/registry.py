@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from animarl_envs import wall
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError, MissingExtraError, printable, require
 from animarl_envs.files import read_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.hdf import is_hdf, open_hdf
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.tables import Progress, forget_tables
+from animarl_envs.importing.tables import Progress, clear_caches
 from animarl_envs.importing.tracks import (
     Tracks,
     disambiguate_by_folder,
@@ -33,7 +34,6 @@ from animarl_envs.importing.tracks import (
     separate_arenas,
 )
 
-Floats = NDArray[np.float64]
 Read = Callable[..., Demonstrations | list[Tracks]]
 # Seconds and bytes that a file may take beyond those of any file, by its size.
 BYTES_PER_SECOND, MEMORY_PER_BYTE = 5_000_000, 24
@@ -62,7 +62,7 @@ class Reader:
 
     @property
     def is_own(self) -> bool:
-        """Whether it is of this project: others are their user's code and run in the process."""
+        """Whether it is of this project; others are users' code and run in this process."""
         return str(self.function.__module__).startswith("animarl_envs.")
 
     @property
@@ -88,12 +88,13 @@ class Reader:
             progress = None
         if not self.is_own or self.name == "animarl":
             with _one_sentence_for(path, self.name):
-                told = {} if progress is None else {"progress": progress}
-                return self.function(path, **options, **told)
-        found = _call_behind_wall(_read_plainly, path, self.name, options, progress=progress)
-        if isinstance(found, dict):
-            return Demonstrations(**found | {"arena": Arena(**found["arena"])})
-        return [Tracks(**record) for record in found]
+                if progress is not None:
+                    options = options | {"progress": progress}
+                return self.function(path, **options)
+        result = _call_behind_wall(_read_as_plain_data, path, self.name, options, progress=progress)
+        if isinstance(result, dict):
+            return Demonstrations(**result | {"arena": Arena(**result["arena"])})
+        return [Tracks(**record) for record in result]
 
 
 _READERS: dict[str, Reader] = {}
@@ -105,7 +106,7 @@ def _source_of(function: Read) -> str:
 
 
 def register_track_reader(name: str, description: str, **more: Any) -> Callable[[Read], Read]:
-    """Decorator: make a function ``read(path, **options) -> list[Tracks]`` known by ``name``.
+    """Register a function ``read(path, **options) -> list[Tracks]`` under ``name`` (a decorator).
 
     A function with a parameter ``progress`` is handed a callable that takes the share done. One
     that reads ``finished`` episodes returns demonstrations. ``more`` are the further fields of a
@@ -122,12 +123,12 @@ def register_track_reader(name: str, description: str, **more: Any) -> Callable[
 
 
 def available_readers() -> tuple[Reader, ...]:
-    """All registered readers, by name."""
+    """Return all registered readers, by name."""
     return tuple(_READERS[name] for name in sorted(_READERS))
 
 
 def get_reader(name: str) -> Reader:
-    """The reader of that name, or one sentence that lists the names."""
+    """Return the reader of that name; refuse an unknown one with a list of the names."""
     if name not in _READERS:
         known = ", ".join(sorted(_READERS))
         raise InputError(f"source {name!r} is unknown: choose one of {known}")
@@ -146,7 +147,7 @@ def load_readers(path: Path) -> None:
 
 
 def find_reader(path: str | Path, source: str | None = None) -> Reader:
-    """The reader named ``source``, or the one that recognises the file."""
+    """Return the reader named ``source``, or the one that recognises the file."""
     path = Path(path)
     if not path.is_dir():  # of Minari datasets
         refuse_special(path)
@@ -169,16 +170,16 @@ def files_in(paths: Sequence[Path]) -> list[Path]:
     A folder that is a Minari dataset stays as it is.
     """
     endings = tuple(ending for one in available_readers() for ending in one.extensions if ending)
-    found: list[Path] = []
+    files: list[Path] = []
     for path in paths:
         if not path.is_dir() or get_reader("minari").sniff(path):
-            found.append(path)
+            files.append(path)
             continue
-        files = sorted(one for one in path.iterdir() if not one.name.startswith("."))
-        own = [one for one in files if one.name.lower().endswith(endings) and not one.is_dir()]
+        inside = sorted(one for one in path.iterdir() if not one.name.startswith("."))
+        own = [one for one in inside if one.name.lower().endswith(endings) and not one.is_dir()]
         require(own, f"{path}: no file in the folder has the ending of a reader: name the files")
-        found += own
-    return found
+        files += own
+    return files
 
 
 def _find_own_reader(path: Path) -> str:
@@ -209,15 +210,15 @@ def read(path: str | Path, source: str | None = None, **options: Any) -> Demonst
     path = Path(path)
     reader = find_reader(path, source)
     if reader.finished:
-        found = reader.read(path, options)
-        assert isinstance(found, Demonstrations)
-        return found
+        result = reader.read(path, options)
+        assert isinstance(result, Demonstrations)
+        return result
     own = {key: options.pop(key) for key in reader.options if key in options}
     return follow(default_recipe(reader, options=own, **options), [path])
 
 
 def default_recipe(reader: Reader, **changes: Any) -> ImportRecipe:
-    """The recipe that fits a tracker's files, with changes."""
+    """Return the recipe that fits a tracker's files, with changes."""
     return ImportRecipe.from_dict(
         {**reader.defaults, "source": reader.name, **changes}, f"source {reader.name}"
     )
@@ -234,20 +235,20 @@ def read_tracks(
             f"{path}: source {reader.name} holds finished episodes, not tracks: "
             "use it as it is, or convert it with 'animarl data convert'"
         )
-    found = reader.read(path, options, progress)
-    assert isinstance(found, list)
-    return found
+    result = reader.read(path, options, progress)
+    assert isinstance(result, list)
+    return result
 
 
-def _read_plainly(path: Path, name: str, options: dict[str, Any], **told: Any) -> Any:
+def _read_as_plain_data(path: Path, name: str, options: dict[str, Any], **more: Any) -> Any:
     """Return tracks or demonstrations as plain values and arrays."""
     with _one_sentence_for(path, name):
-        found = get_reader(name).function(path, **options, **told)
-    forget_tables()
-    if isinstance(found, Demonstrations):
-        record = {one.name: getattr(found, one.name) for one in fields(found) if one.init}
-        return record | {"arena": vars(found.arena)}
-    return [vars(tracks) for tracks in found]
+        result = get_reader(name).function(path, **options, **more)
+    clear_caches()
+    if isinstance(result, Demonstrations):
+        record = {one.name: getattr(result, one.name) for one in fields(result) if one.init}
+        return record | {"arena": vars(result.arena)}
+    return [vars(tracks) for tracks in result]
 
 
 def _call_behind_wall(
@@ -255,14 +256,18 @@ def _call_behind_wall(
 ) -> Any:
     size = path.stat().st_size
     return wall.call(
-        function, path, *more, what=str(path), progress=progress,
+        function,
+        path,
+        *more,
+        what=str(path),
+        progress=progress,
         memory=wall.MEMORY + MEMORY_PER_BYTE * size,
         seconds=wall.SECONDS + size // BYTES_PER_SECOND,
-    )  # fmt: skip
+    )
 
 
 def numbers(path: Path, name: str, array: NDArray[Any], *shape: int | str) -> Floats:
-    """Return an array of numbers of this shape as float64; of an axis with a name, any length."""
+    """Return an array of numbers of this shape as float64; a named axis has any length."""
     fits = array.ndim == len(shape) and array.dtype.kind in "iuf"
     require(
         fits and all(n in (m, str(n)) for n, m in zip(shape, array.shape, strict=True)),
@@ -296,9 +301,9 @@ def _one_sentence_for(path: Path, source: str) -> Iterator[None]:
 def follow(
     recipe: ImportRecipe, files: Sequence[Path], progress: Progress = None
 ) -> Demonstrations:
-    """The demonstrations that a recipe makes of a tracker's files.
+    """Return the demonstrations that a recipe makes of a tracker's files.
 
-    ``progress`` is told the share of the work done, 0 to 1.
+    ``progress`` is called with the share of the work done, 0 to 1.
 
     Raises InputError: one sentence that names the file, the place and the remedy.
     """
@@ -311,12 +316,12 @@ def follow(
             raise InputError(f"{file}: it is given twice: name it once")
         seen.add(file.resolve())
 
-        def told(share: float, number: int = number) -> None:
+        def report(share: float, number: int = number) -> None:
             if progress is not None:
                 progress((number + share) / len(files))
 
-        found = read_tracks(file, recipe.source, progress=told, **recipe.options)
-        parts += [(file, tracks) for tracks in found]
+        result = read_tracks(file, recipe.source, progress=report, **recipe.options)
+        parts += [(file, tracks) for tracks in result]
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
     if recipe.merge_individuals:
         parts_of_one = one_per_individual([tracks for _, tracks in parts])

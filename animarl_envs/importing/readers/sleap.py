@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.importing import tables
 from animarl_envs.importing.hdf import hdf_keys, hdf_text, open_hdf, read_dataset
@@ -14,7 +15,6 @@ from animarl_envs.importing.readers.registry import numbers, register_track_read
 from animarl_envs.importing.table_rows import frame_numbers, refuse_two_rows
 from animarl_envs.importing.tracks import LONE, Tracks
 
-Floats = NDArray[np.float64]
 Sleap = tuple[list[str], list[str], list[tuple[Floats, Floats | None]]]  # names, nodes, videos
 ANALYSIS = {"tracks", "track_names", "node_names"}
 PROJECT = {"instances", "frames", "points"}
@@ -41,18 +41,18 @@ def _is_sleap(path: Path) -> bool:
     extensions=(".slp", ".h5", ".hdf5", ".csv"),
 )
 def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
-    """Proofread or predicted tracks of all nodes, in pixels; SLEAP files hold no frame rate.
+    """Read proofread or predicted tracks of all nodes, in pixels, without a frame rate.
 
     A project of several videos gives a recording of each. A lone animal needs no track.
     """
     if path.suffix.lower() == ".csv":
-        names, nodes, found = _read_table(path)
+        names, nodes, videos = _read_table(path)
     else:
         analysis = hdf_keys(path) >= ANALYSIS
-        names, nodes, found = (_read_analysis if analysis else _read_project)(path)
+        names, nodes, videos = (_read_analysis if analysis else _read_project)(path)
     return [
         Tracks(
-            recording=path.stem if len(found) == 1 else f"{path.stem}/{number}",
+            recording=path.stem if len(videos) == 1 else f"{path.stem}/{number}",
             individuals=tuple(names),
             keypoints=tuple(nodes),
             positions=positions,
@@ -61,7 +61,7 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
             confidence=confidence,
             provenance={"file": path.name, "tracker": "SLEAP"},
         )
-        for number, (positions, confidence) in enumerate(found)
+        for number, (positions, confidence) in enumerate(videos)
     ]
 
 
@@ -76,7 +76,7 @@ def _read_project(path: Path) -> Sleap:
     names = [LONE]
     if tracked:
         names = [track.name or f"track_{i}" for i, track in enumerate(labels.tracks)]
-    found = []
+    videos = []
     for video in filter(labels.find, labels.videos):
         array = np.asarray(
             labels.numpy(video=video, return_confidence=True, untracked=not tracked), np.float64
@@ -86,9 +86,9 @@ def _read_project(path: Path) -> Sleap:
             array = _spread(array, labels, video, len(names))
         score = array[..., 2]
         predicted = np.isfinite(score) & (score != 1.0)
-        found.append((array[..., :2], score if predicted.any() else None))
-    require(found, f"{path}: no frame of it is labelled: predict or label the animals first")
-    return names, labels.skeletons[0].node_names, found
+        videos.append((array[..., :2], score if predicted.any() else None))
+    require(videos, f"{path}: no frame of it is labelled: predict or label the animals first")
+    return names, labels.skeletons[0].node_names, videos
 
 
 def _spread(array: Floats, labels: Any, video: Any, count: int) -> Floats:
@@ -165,7 +165,7 @@ def _nodes(names: tuple[str, ...]) -> list[str]:
 
 
 def _read_table(path: Path) -> Sleap:
-    """A row is an instance; ``track`` is empty where a lone animal was not tracked."""
+    """Read a table of instances; ``track`` is empty where a lone animal was not tracked."""
     table = tables.open_table(path)
     nodes = _nodes(table.names)
     scored = all(f"{node}.{SCORE}" in table.names for node in nodes)

@@ -94,35 +94,42 @@ def read_long_table(
     require(named, f"{path}: angle_unit is {angle_unit!r} of no column: name it by heading")
     to_radians = 1.0 if heading is None else radians_per_unit(path, heading, angle_unit)
     table = tables.open_table(path, encoding, sheet, decimal)
-    found = find_columns(table)
+    columns = find_columns(table)
     given = {
-        "frame": frame or time, "individual": individual, "keypoint": keypoint,
-        "recording": recording, "arena": recording,
-    }  # fmt: skip
-    if any(given.get(part, part) is None for part in found.unclear):
+        "frame": frame or time,
+        "individual": individual,
+        "keypoint": keypoint,
+        "recording": recording,
+        "arena": recording,
+    }
+    if any(given.get(part, part) is None for part in columns.unclear):
         raise InputError(f"{path}: {describe_columns(table)}")
     if x or y:
-        plain = next((one.columns for one in found.positions if len(one.columns) == 2), ("x", "y"))
-        found = replace(found, positions=(Position((x or plain[0], y or plain[1])),), refusal="")
-    require(not found.refusal, f"{path}: {found.refusal}")
-    recording = recording or found.recording
-    by_name = [individual, found.individual]
-    if keypoint == found.individual and keypoint is not None:
+        plain = next(
+            (one.columns for one in columns.positions if len(one.columns) == 2), ("x", "y")
+        )
+        columns = replace(
+            columns, positions=(Position((x or plain[0], y or plain[1])),), refusal=""
+        )
+    require(not columns.refusal, f"{path}: {columns.refusal}")
+    recording = recording or columns.recording
+    by_name = [individual, columns.individual]
+    if keypoint == columns.individual and keypoint is not None:
         by_name.pop()
-    several = recording or found.arena or keypoint or found.keypoint
-    found = replace(
-        found.with_clock(frame, time, time_unit),
+    several = recording or columns.arena or keypoint or columns.keypoint
+    columns = replace(
+        columns.with_clock(frame, time, time_unit),
         individual=next(filter(None, by_name), None if several else "id"),
-        keypoint=keypoint or found.keypoint,
+        keypoint=keypoint or columns.keypoint,
         recording=recording,
-        arena=None if recording == found.arena else found.arena,
-        confidence=confidence or found.confidence,
-        positions=found.positions or (Position(("x", "y")),),
+        arena=None if recording == columns.arena else columns.arena,
+        confidence=confidence or columns.confidence,
+        positions=columns.positions or (Position(("x", "y")),),
     )
-    found = replace(found, unit=unit or unit_of(table, found.positions))
-    if found.frame is None and found.time is None:
-        found = replace(found, frame="frame")  # whose absence is then said
-    tracks = tracks_of_rows(table, found, fps, y_down, progress, heading, individual is not None)
+    columns = replace(columns, unit=unit or unit_of(table, columns.positions))
+    if columns.frame is None and columns.time is None:
+        columns = replace(columns, frame="frame")  # whose absence is then said
+    tracks = tracks_of_rows(table, columns, fps, y_down, progress, heading, individual is not None)
     for one in tracks if heading else ():
         one.signals[HEADING][:] *= to_radians
     return tracks
@@ -159,47 +166,47 @@ def read_wide_table(
     """
     table = tables.open_table(path, encoding, sheet, decimal)
     table.check_names()
-    found = find_columns(table)
+    parts = find_columns(table)
     if columns is None:
-        require(not found.refusal, f"{path}: {found.refusal}")
+        require(not parts.refusal, f"{path}: {parts.refusal}")
         y_down = y_down or is_idtracker(table)
-        if "individual" in found.unclear:
+        if "individual" in parts.unclear:
             raise InputError(f"{path}: {describe_columns(table)}")
-        first = next(iter(found.positions), Position((), "all"))
-        if len(found.positions) > 1 or first.individual or first.keypoint != CENTROID:
+        first = next(iter(parts.positions), Position((), "all"))
+        if len(parts.positions) > 1 or first.individual or first.keypoint != CENTROID:
             _refuse_lone(path, [one.bare for one in parsed_names(table.names)])
     else:
-        found = replace(found, positions=_stated_positions(path, columns), tracks={})
+        parts = replace(parts, positions=_stated_positions(path, columns), tracks={})
     require(
-        found.positions,
+        parts.positions,
         f"{path}: it has no pairs of x and y columns: name them, such as "
         "columns: {male: [mx, my], female: [fx, fy]}",
     )
-    if not (frame or time or found.frame or found.time):
-        _refuse_hidden_clock(table, found)
-    found = replace(
-        found.with_clock(frame, time, time_unit),
+    if not (frame or time or parts.frame or parts.time):
+        _refuse_hidden_clock(table, parts)
+    parts = replace(
+        parts.with_clock(frame, time, time_unit),
         individual=None,
         keypoint=None,
-        recording=recording or found.recording,
+        recording=recording or parts.recording,
         confidence=None,
-        unit=unit or unit_of(table, found.positions),
+        unit=unit or unit_of(table, parts.positions),
     )
-    return tracks_of_rows(table, found, fps, y_down, progress, stated=columns is not None)
+    return tracks_of_rows(table, parts, fps, y_down, progress, stated=columns is not None)
 
 
 def _stated_positions(path: Path, columns: Pairs) -> tuple[Position, ...]:
     """Return the positions that the option ``columns`` names."""
-    found = []
+    positions = []
     for name, value in columns.items():
         parts = value if isinstance(value, Mapping) else {CENTROID: value}
-        found += [Position(tuple(own), str(name), str(part)) for part, own in parts.items()]
+        positions += [Position(tuple(own), str(name), str(part)) for part, own in parts.items()]
     require(
-        found and all(len(position.columns) in (2, 4) for position in found),
+        positions and all(len(position.columns) in (2, 4) for position in positions),
         f"{path}: columns must name an x and a y column of each individual, such as "
         "columns: {male: [mx, my], female: [fx, fy]}",
     )
-    return tuple(found)
+    return tuple(positions)
 
 
 def suggested_command(path: Path) -> str | None:
@@ -216,16 +223,16 @@ def describe_columns(table: tables.Table) -> str:
 
     A command is given where it reads the file.
     """
-    found, path = find_columns(table), table.path
-    if found.refusal:
-        return found.refusal
-    shown = ", ".join(name or "(no name)" for name in table.names[:30])
+    columns, path = find_columns(table), table.path
+    if columns.refusal:
+        return columns.refusal
+    listed = ", ".join(name or "(no name)" for name in table.names[:30])
     words = (
-        f"its columns are {shown} ({table.description}), and which is which is not clear: name "
+        f"its columns are {listed} ({table.description}), and which is which is not clear: name "
         "them by --source long-table with --option frame=COLUMN (or time), individual, x and y, or "
         "by --source wide-table --option 'columns={NAME: [X COLUMN, Y COLUMN]}'"
     )
-    if options := _guess(table, found):
+    if options := _guess(table, columns):
         with contextlib.suppress(InputError):
             read_long_table(path, **options, fps=EXAMPLE_RATE)
             named = " ".join(f"--option {shlex.quote(f'{k}={v}')}" for k, v in options.items())
@@ -237,20 +244,27 @@ def describe_columns(table: tables.Table) -> str:
     return words
 
 
-def _guess(table: tables.Table, found: Columns) -> dict[str, str]:
+def _guess(table: tables.Table, columns: Columns) -> dict[str, str]:
     """Return options of a long table by the columns that are left, nothing where that is unclear.
 
     Words are names, and of two columns of numbers the first is x.
     """
-    clock = {"frame": found.frame} if found.frame else {"time": found.time}
-    named = [*found.positions[0].columns] if len(found.positions) == 1 else []
-    used = {found.frame, found.time, found.recording, found.arena, found.individual, *named}
+    clock = {"frame": columns.frame} if columns.frame else {"time": columns.time}
+    named = [*columns.positions[0].columns] if len(columns.positions) == 1 else []
+    used = {
+        columns.frame,
+        columns.time,
+        columns.recording,
+        columns.arena,
+        columns.individual,
+        *named,
+    }
     rest = [name for name in table.names if name and name not in used]
     texts = [name for name in rest if name in table.words_in]
     places = named or [name for name in rest if name not in texts]
-    individual = found.individual or (texts[0] if len(texts) == 1 else None)
+    individual = columns.individual or (texts[0] if len(texts) == 1 else None)
     usual = {key for ranks in USUAL_NAMES.values() for rank in ranks for key in rank.split()}
-    if len(places) != 2 or None in clock.values() or not (individual or found.recording):
+    if len(places) != 2 or None in clock.values() or not (individual or columns.recording):
         return {}
     if not named and usual & {one.key for one in parsed_names(places)}:
         return {}
@@ -274,16 +288,16 @@ def _refuse_lone(path: Path, names: list[str]) -> None:
             )
 
 
-def _refuse_hidden_clock(table: tables.Table, found: Columns) -> None:
-    """Refuse a table whose rows would be taken for one frame after the other, and are not."""
-    unclear = ", ".join(part for part in CLOCKS if part in found.unclear)
+def _refuse_hidden_clock(table: tables.Table, columns: Columns) -> None:
+    """Refuse a table whose rows are not consecutive frames."""
+    unclear = ", ".join(part for part in CLOCKS if part in columns.unclear)
     require(
         not unclear,
         f"{table.path}: several of its columns may be of {unclear}: name the one by that option",
     )
     first, values = table.names[0], np.zeros(0)
-    placed = itertools.chain(*(position.columns for position in found.positions))
-    if first not in {found.recording, *table.words_in, *placed}:
+    placed = itertools.chain(*(position.columns for position in columns.positions))
+    if first not in {columns.recording, *table.words_in, *placed}:
         with contextlib.suppress(InputError):  # it holds more than numbers
             values = table.columns([first])[0][first]
     step = np.diff(values)

@@ -48,7 +48,7 @@ def _is_ethovision(path: Path) -> bool:
 def read_ethovision(
     path: Path, encoding: str | None = None, progress: tables.Progress = None
 ) -> list[Tracks]:
-    """All subjects of the file; unit and frame rate are in it. In EthoVision y grows upwards.
+    """Read all subjects of the file; unit and frame rate are in it. In EthoVision y grows upwards.
 
     Points (``X center``, ``X nose``, ``X tail``) become keypoints; what was not found is ``-``.
     Sheets without points, such as those of manual scoring, are left out and named as not used.
@@ -122,7 +122,7 @@ def _is_trex(path: Path) -> bool:
     extensions=(".npz", ".csv"),
 )
 def read_trex(path: Path, fps: float | None = None, unit: str | None = None) -> list[Tracks]:
-    """One individual; files of one recording are merged by their name. Missing frames are gaps."""
+    """Read one individual; files of one recording are merged by name. Missing frames are gaps."""
     if path.suffix.lower() == ".csv":
         columns = _trex_columns(path)
         x_name = _trex_x(set(columns)) or "X"
@@ -190,15 +190,15 @@ def read_trex(path: Path, fps: float | None = None, unit: str | None = None) -> 
     extensions=(".npy", ".h5", ".csv"),
 )
 def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
-    """All individuals, in pixels; the frame rate is in the file. Recording: the file's name."""
+    """Read all individuals, in pixels; the recording is named after the file."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         table = tables.plain_table(path)
         if table.names == IDTRACKER_TIDY:
             provenance = {"file": path.name, "tracker": "idtracker.ai"}
-            found = read_long_table(path, fps=fps, y_down=True)
-            assert isinstance(found, list)
-            return [replace(one, provenance=provenance) for one in found]
+            recordings = read_long_table(path, fps=fps, y_down=True)
+            assert isinstance(recordings, list)
+            return [replace(one, provenance=provenance) for one in recordings]
         count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
         names = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
         clock = [name for name in table.names[:1] if name in ("time", "seconds")]
@@ -222,10 +222,12 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
         Tracks(
             recording=path.stem,
             individuals=tuple(str(i + 1) for i in range(positions.shape[1])),
-            positions=positions[:, :, None], frame_rate=fps or rate, y_down=True,
+            positions=positions[:, :, None],
+            frame_rate=fps or rate,
+            y_down=True,
             provenance={"file": path.name, "tracker": "idtracker.ai"},
         )
-    ]  # fmt: skip
+    ]
 
 
 def _is_idtracker_csv(path: Path) -> bool:

@@ -10,14 +10,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.focus import focus_directions
 from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.scenario import REPLAY
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.worlds.chase.layout import ABSENT, Seen
+from animarl_envs.worlds.chase.layout import ABSENT, ChaseGroup
 from animarl_envs.worlds.chase.neighbours import INDEX
 
 NOT_RECORDED = -1  # in the place of a frame
@@ -26,18 +26,16 @@ NOT_RECORDED = -1  # in the place of a frame
 class Bodies(NamedTuple):
     """State, scratch and numbers of the bodies of ``B`` copies."""
 
-    heading: NDArray[np.float64]  # (n, B), in [-pi, pi) [rad]
-    turn: NDArray[np.float64]  # (n, B), of the last step [rad]
-    facing: NDArray[np.float64]  # (n, 2, B), scratch: the unit vectors
-    recorded: NDArray[np.float64]  # (frames, K) [rad], or no frames
-    turns: NDArray[np.bool_]  # (n,), by the numbers below; otherwise it points where it walks
-    numbers: NDArray[np.float64]  # (5, n): persistence, gain, cosine and sine of the slip, speed
-    traits: NDArray[np.float64]  # (2, K, B), of the individuals [sd]
+    heading: Floats  # (n, B), in [-pi, pi) [rad]
+    turn: Floats  # (n, B), of the last step [rad]
+    facing: Floats  # (n, 2, B), scratch: the unit vectors
+    recorded: Floats  # (frames, K) [rad], or no frames
+    turns: Bools  # (n,), by the numbers below; otherwise it points where it walks
+    numbers: Floats  # (5, n): persistence, gain, cosine and sine of the slip, speed
+    traits: Floats  # (2, K, B), of the individuals [sd]
 
 
-def bodies_of(
-    species: ChaseSpecies, num_copies: int, recorded: NDArray[np.float64] | None = None
-) -> Bodies:
+def bodies_of(species: ChaseSpecies, num_copies: int, recorded: Floats | None = None) -> Bodies:
     """Return bodies that point along x; ``recorded`` headings are ``(frames, K)`` [rad]."""
     K = species.num_individuals
     n = K if species.has_headings else 0
@@ -59,10 +57,10 @@ def bodies_of(
 
 def first_headings(
     species: ChaseSpecies,
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    recorded: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    position: Floats,
+    velocity: Floats,
+    recorded: Floats,
+) -> Floats:
     """Return headings ``(..., K)`` at the start of episodes [rad].
 
     ``position`` and ``velocity`` are ``(..., K, 2)``; ``recorded`` ``(..., K)`` is NaN where
@@ -81,10 +79,10 @@ def first_headings(
 
 def recorded_bodies(
     species: ChaseSpecies,
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    steps: NDArray[np.int64],
-    recorded: NDArray[np.float64] | None = None,
+    position: Floats,
+    velocity: Floats,
+    steps: Ints,
+    recorded: Floats | None = None,
 ) -> Bodies:
     """Return the bodies in recorded frames, one copy a frame, as the world computes them.
 
@@ -197,10 +195,10 @@ def set_facing(bodies, headed):  # type: ignore[no-untyped-def]
 @inline_kernel
 def observe_headings(i, seen, towards, first, others, bodies, headed, observation):  # type: ignore[no-untyped-def]
     """Observe where individual ``i`` and the others that it sees point, in its frame."""
-    if headed is None or first[0, Seen.HEADING] == ABSENT:
+    if headed is None or first[0, ChaseGroup.HEADING] == ABSENT:
         return
     for rank in range(-1, seen):
-        at = first[0, Seen.HEADING] if rank < 0 else first[rank + 1, Seen.OTHER_HEADING]
+        at = first[0, ChaseGroup.HEADING] if rank < 0 else first[rank + 1, ChaseGroup.OTHER_HEADING]
         for b in range(others.shape[2]):
             j = i if rank < 0 else int(others[rank, INDEX, b])
             ex = towards[i, 0, b]

@@ -16,8 +16,8 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.focus import COURSE, share_of
 from animarl_envs.locomotion import residual
 from animarl_envs.species import COMPACT, ChaseSpecies
@@ -62,7 +62,7 @@ SIDES = {
 """Where something is, likewise."""
 
 
-class Group(NamedTuple):
+class GroupSpec(NamedTuple):
     """Entries that the kernel writes together, one below the other.
 
     ``names`` lists entries; ``{a|b}`` stands for two, of which a mirrored world turns the second
@@ -114,18 +114,20 @@ def _directions(vector: str) -> tuple[str, ...]:
     return tuple(f"{vector} harmonic {k} {{cosine|sine}}" for k in HARMONICS)
 
 
-def _scaled(velocity: str, speed: str, moves: str, fast: str, sense: str = "") -> list[Group]:
+def _scaled(velocity: str, speed: str, moves: str, fast: str, sense: str = "") -> list[GroupSpec]:
     """Return the groups of a velocity on three scales: fine, coarse, logarithm of the speed."""
     return [
-        Group(f"tanh of {velocity} / (u dt) {{ahead|left}}", EGO, "1", "fine", moves, sense=sense),
-        Group(
+        GroupSpec(
+            f"tanh of {velocity} / (u dt) {{ahead|left}}", EGO, "1", "fine", moves, sense=sense
+        ),
+        GroupSpec(
             f"tanh of {velocity} / (3 u dt) {{ahead|left}}", EGO, "1", "coarse", moves, sense=sense
         ),
-        Group(f"log of ({speed} / (u dt) + 0.3)", "any", "1", "log speed", fast, sense=sense),
+        GroupSpec(f"log of ({speed} / (u dt) + 0.3)", "any", "1", "log speed", fast, sense=sense),
     ]
 
 
-def _averaged(over: str, sense: str) -> list[Group]:
+def _averaged(over: str, sense: str) -> list[GroupSpec]:
     """Return the groups of the velocity averaged over some time."""
     mean = f"mean velocity over {over}"
     lately = f"over the last {over} {{who}}"
@@ -140,7 +142,7 @@ _MEMORY = [
     for over in MEMORY
     for group in (
         *_averaged(f"{over:g} s", "free"),
-        Group(
+        GroupSpec(
             f"-mean turn of the course over {over:g} s",
             "any",
             "rad / s",
@@ -148,7 +150,7 @@ _MEMORY = [
             f"over the last {over:g} s {{who}} turned [right|left] faster",
             sense="free",
         ),
-        Group(
+        GroupSpec(
             f"log of (mean speed over {over:g} s / (u dt) + 0.3)",
             "any",
             "1",
@@ -169,7 +171,7 @@ _BESIDE = "{who} is farther {side}"
 _NEAR_WALL = "{who} is [nearer to|farther from] the wall"
 
 
-class Seen(IntEnum):
+class ChaseGroup(IntEnum):
     """The groups of an observation in its order: columns of :func:`first_rows`.
 
     Where velocities are measured by it, u is the smallest of the individual's thrusts: how an
@@ -179,20 +181,24 @@ class Seen(IntEnum):
     species senses it, the full one if there is an edge, and where it stands if that is a wall.
     """
 
-    group: Group
+    group: GroupSpec
 
-    def __new__(cls, *group: Any) -> Seen:
-        """Make a member numbered in order, with its :class:`Group`."""
+    def __new__(cls, *group: Any) -> ChaseGroup:
+        """Make a member numbered in order, with its :class:`GroupSpec`."""
         member = int.__new__(cls, len(cls.__members__))
-        member._value_, member.group = len(cls.__members__), Group(*group)
+        member._value_, member.group = len(cls.__members__), GroupSpec(*group)
         return member
 
     # The individual itself
-    POSITION = Group("own position {x|y}", ARENA, LENGTH, "place", _PLACED, _BOTH, sense=COMPASS)
-    VELOCITY = Group("own velocity {ahead|left}", EGO, SPEED, "own speed", _MOVES, _ALWAYS)
-    PLANE_VELOCITY = Group("own velocity {x|y}", ARENA, SPEED, "own speed", _MOVES, sense=COMPASS)
+    POSITION = GroupSpec(
+        "own position {x|y}", ARENA, LENGTH, "place", _PLACED, _BOTH, sense=COMPASS
+    )
+    VELOCITY = GroupSpec("own velocity {ahead|left}", EGO, SPEED, "own speed", _MOVES, _ALWAYS)
+    PLANE_VELOCITY = GroupSpec(
+        "own velocity {x|y}", ARENA, SPEED, "own speed", _MOVES, sense=COMPASS
+    )
     FINE, COARSE, LOG_SPEED = _OWN
-    ACCELERATION = Group(
+    ACCELERATION = GroupSpec(
         "own acceleration / u {ahead|left}",
         EGO,
         "1",
@@ -200,7 +206,7 @@ class Seen(IntEnum):
         "{who} pushes {way} harder",
         _SMALL,
     )
-    FOCUS = Group(
+    FOCUS = GroupSpec(
         "focus direction {cosine|sine}",
         ARENA,
         "1",
@@ -209,7 +215,7 @@ class Seen(IntEnum):
         _BOTH,
         sense=COMPASS,
     )
-    TIME = Group(
+    TIME = GroupSpec(
         "log of (1 + steps since the start)",
         "any",
         "1",
@@ -223,7 +229,7 @@ class Seen(IntEnum):
     _F1, _C1, _L1, _T1, _S1 = _MEMORY[RECALLED : 2 * RECALLED]
     _F2, _C2, _L2, _T2, _S2 = _MEMORY[2 * RECALLED : 3 * RECALLED]
     _F3, _C3, _L3, _T3, _S3 = _MEMORY[3 * RECALLED :]
-    DELAYED_SPEED = Group(
+    DELAYED_SPEED = GroupSpec(
         tuple(f"log of (speed {k + 1} delays ago / (u dt) + 0.3)" for k in range(DELAYS)),
         "any",
         "1",
@@ -231,7 +237,7 @@ class Seen(IntEnum):
         "in the last second or so {who} was [slower|faster]",
         sense="free",
     )
-    OWN_TRAITS = Group(
+    OWN_TRAITS = GroupSpec(
         TRAITS,
         "individual",
         "sd",
@@ -239,8 +245,10 @@ class Seen(IntEnum):
         "{who} is told of a [lower|higher] {name}",
         sense="traits",
     )
-    HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", _POINTS, sense="senses_heading")
-    COURSE = Group(
+    HEADING = GroupSpec(
+        "own heading {cosine|sine}", EGO, "1", "unit", _POINTS, sense="senses_heading"
+    )
+    COURSE = GroupSpec(
         _directions("own velocity"),
         EGO,
         "1",
@@ -248,7 +256,7 @@ class Seen(IntEnum):
         "{who} moves in another direction",
         sense="senses_course",
     )
-    PUSH = Group(
+    PUSH = GroupSpec(
         _directions("own acceleration"),
         EGO,
         "1",
@@ -257,10 +265,10 @@ class Seen(IntEnum):
         sense="senses_course",
     )
     # Each other individual
-    PLACE = Group(
+    PLACE = GroupSpec(
         "relative position {ahead|left}", EGO, LENGTH, "offset", _BESIDE, _ALWAYS, of_focus=False
     )
-    DRIFT = Group(
+    DRIFT = GroupSpec(
         "relative velocity {ahead|left}",
         EGO,
         SPEED,
@@ -268,27 +276,31 @@ class Seen(IntEnum):
         "seen from it, {who} moves {way} faster",
         _ALWAYS,
     )
-    DISTANCE = Group("distance", "any", LENGTH, "distance", "{who} is [nearer|farther]", _ALWAYS)
-    BEARING = Group("-bearing", EGO, "rad", "angle", _ELSEWHERE, (PAPER,))
-    NEARNESS = Group(
+    DISTANCE = GroupSpec(
+        "distance", "any", LENGTH, "distance", "{who} is [nearer|farther]", _ALWAYS
+    )
+    BEARING = GroupSpec("-bearing", EGO, "rad", "angle", _ELSEWHERE, (PAPER,))
+    NEARNESS = GroupSpec(
         "inverse of (distance + 0.1 size)",
         "any",
         "1 / arena unit",
         "nearness",
         "{who} is [farther|nearer]",
     )
-    BEARING_CIRCLE = Group("bearing {cosine|sine}", EGO, "1", "unit", _ELSEWHERE, of_focus=False)
-    OTHER_POSITION = Group("position {x|y}", ARENA, LENGTH, "place", _PLACED, sense=COMPASS)
-    OTHER_VELOCITY = Group("velocity {x|y}", ARENA, SPEED, "speed", _MOVES, sense=COMPASS)
-    OFFSET = Group("difference {x|y}", ARENA, LENGTH, "offset", _BESIDE, sense=COMPASS)
-    DIRECTION = Group(
+    BEARING_CIRCLE = GroupSpec(
+        "bearing {cosine|sine}", EGO, "1", "unit", _ELSEWHERE, of_focus=False
+    )
+    OTHER_POSITION = GroupSpec("position {x|y}", ARENA, LENGTH, "place", _PLACED, sense=COMPASS)
+    OTHER_VELOCITY = GroupSpec("velocity {x|y}", ARENA, SPEED, "speed", _MOVES, sense=COMPASS)
+    OFFSET = GroupSpec("difference {x|y}", ARENA, LENGTH, "offset", _BESIDE, sense=COMPASS)
+    DIRECTION = GroupSpec(
         "direction {cosine|sine}", ARENA, "1", "unit", _ELSEWHERE, of_focus=False, sense=COMPASS
     )
-    OTHER_HEADING = Group(
+    OTHER_HEADING = GroupSpec(
         "heading {cosine|sine}", EGO, "1", "unit", _POINTS, sense="senses_heading"
     )
     # The arena
-    CENTRE_DISTANCE = Group(
+    CENTRE_DISTANCE = GroupSpec(
         "distance from the centre",
         ARENA,
         LENGTH,
@@ -296,7 +308,7 @@ class Seen(IntEnum):
         "{who} is [nearer to|farther from] the centre",
         (PAPER,),
     )
-    EDGE = Group(
+    EDGE = GroupSpec(
         "distance to the edge",
         ARENA,
         LENGTH,
@@ -304,7 +316,7 @@ class Seen(IntEnum):
         "{who} is [nearer to|farther from] the edge",
         _SMALL,
     )
-    CENTRE = Group(
+    CENTRE = GroupSpec(
         "centre of the arena {ahead|left}",
         EGO,
         LENGTH,
@@ -312,9 +324,9 @@ class Seen(IntEnum):
         "the centre of the arena is farther {side}",
         _SMALL,
     )
-    AT_WALL = Group(f"{_WALL} (0.03 size)", WALL, "1", "at wall", _NEAR_WALL, of_walls=True)
-    BY_WALL = Group(f"{_WALL} (0.1 size)", WALL, "1", "by wall", _NEAR_WALL, of_walls=True)
-    WALL_CIRCLE = Group(
+    AT_WALL = GroupSpec(f"{_WALL} (0.03 size)", WALL, "1", "at wall", _NEAR_WALL, of_walls=True)
+    BY_WALL = GroupSpec(f"{_WALL} (0.1 size)", WALL, "1", "by wall", _NEAR_WALL, of_walls=True)
+    WALL_CIRCLE = GroupSpec(
         "direction of the wall {cosine|sine}",
         EGO,
         "1",
@@ -322,10 +334,10 @@ class Seen(IntEnum):
         "the wall is in another direction",
         of_walls=True,
     )
-    FINE_WALL = Group(
+    FINE_WALL = GroupSpec(
         "tanh of own velocity / (u dt) {outwards|along}", WALL, "1", "fine", _MOVES, of_walls=True
     )
-    COARSE_WALL = Group(
+    COARSE_WALL = GroupSpec(
         "tanh of own velocity / (3 u dt) {outwards|along}",
         WALL,
         "1",
@@ -338,24 +350,24 @@ class Seen(IntEnum):
 ABSENT = -1
 
 
-def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
+def rows(species: ChaseSpecies) -> Iterator[tuple[int, ChaseGroup, GroupSpec]]:
     """Yield the groups of an observation in order: rank (0 itself, 1 the focus), key, group."""
     kind = species.observation
     senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
 
-    def held(first: Seen, end: int) -> Iterator[tuple[Seen, Group]]:
-        for seen in list(Seen)[first:end]:
+    def held(first: ChaseGroup, end: int) -> Iterator[tuple[ChaseGroup, GroupSpec]]:
+        for seen in list(ChaseGroup)[first:end]:
             sense = seen.group.sense
             if kind in seen.group.seen and (kind == PAPER or not sense or getattr(species, sense)):
                 yield seen, seen.group
 
-    for seen, group in held(Seen.POSITION, Seen.PLACE):
+    for seen, group in held(ChaseGroup.POSITION, ChaseGroup.PLACE):
         yield 0, seen, group
     for rank in range(1, 1 + species.num_seen):
-        for seen, group in held(Seen.PLACE, Seen.CENTRE_DISTANCE):
+        for seen, group in held(ChaseGroup.PLACE, ChaseGroup.CENTRE_DISTANCE):
             if rank > 1 or species.free or group.of_focus or kind == PAPER:
                 yield rank, seen, group
-    for seen, group in held(Seen.CENTRE_DISTANCE, len(Seen)):
+    for seen, group in held(ChaseGroup.CENTRE_DISTANCE, len(ChaseGroup)):
         if senses_field and (species.arena.rebound or not group.of_walls):
             yield 0, seen, group
 
@@ -370,19 +382,19 @@ def past_scales(species: ChaseSpecies) -> int:
     return len(PAST) if species.senses_steps and species.observation == FULL else 0
 
 
-def past_shares(species: ChaseSpecies) -> NDArray[np.float64]:
+def past_shares(species: ChaseSpecies) -> Floats:
     """Return the share of a step in each average; of free animals the last is of each delay."""
     if species.free:
         return np.array([share_of(seconds, species.dt) for seconds in (*MEMORY, DELAY)])
     return 1.0 / np.array(PAST)
 
 
-def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
+def first_rows(species: ChaseSpecies) -> Ints:
     """Return the row where each group begins, ``(individuals, groups)``, or ``ABSENT``.
 
     The first row is of the individual itself and the arena, the following of the others in order.
     """
-    first = np.full((1 + species.num_seen, len(Seen)), ABSENT, dtype=np.int64)
+    first = np.full((1 + species.num_seen, len(ChaseGroup)), ABSENT, dtype=np.int64)
     end = 0
     for rank, seen, group in rows(species):
         first[rank, seen] = end

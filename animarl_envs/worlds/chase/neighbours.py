@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.species import ChaseSpecies
 
@@ -25,11 +26,11 @@ LINE = 8  # copies that lie in one cache line
 class Neighbours(NamedTuple):
     """Scratch of the senses; nothing in it decides anything."""
 
-    others: NDArray[np.float64]  # (K - 1, 6, B), of the individual that is looking
+    others: Floats  # (K - 1, 6, B), of the individual that is looking
     order: NDArray[np.int16] | None  # (K, B, n), the many by distance at the last step
     along: NDArray[np.int16]  # (B, 2, K) of free animals: by x, and at which place each one stands
-    state: NDArray[np.float64]  # (B, 4, K) for many: x, y and velocity, each copy's in one place
-    distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
+    state: Floats  # (B, 4, K) for many: x, y and velocity, each copy's in one place
+    distance: Floats  # (LINE, K), of each from the one that is looking
 
 
 def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:

@@ -9,9 +9,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import inline_kernel, inline_wrapper, jit
 from animarl_envs.focus import COURSE, FALLBACK, averaged, direction_of
 from animarl_envs.species import COMPACT, ChaseSpecies
@@ -27,7 +27,7 @@ from animarl_envs.worlds.chase.layout import (
     REACH,
     RECALLED,
     REST,
-    Seen,
+    ChaseGroup,
     first_rows,
     past_scales,
     past_shares,
@@ -45,33 +45,35 @@ from animarl_envs.worlds.chase.neighbours import (
 )
 from animarl_envs.worlds.streams import angle_of, log_of, tanh_of, tanh_tripled
 
-FINE_PAST, FINE_MEMORY = int(Seen.FINE_SHORT), int(Seen.FINE_MEMORY)
+FINE, FINE_PAST, FINE_MEMORY = map(
+    int, (ChaseGroup.FINE, ChaseGroup.FINE_SHORT, ChaseGroup.FINE_MEMORY)
+)
 ON_COURSE, SPANS = MEMORY.index(COURSE), len(MEMORY)
 SQUARE = SHAPE_CODES["square"]
 
 
-class Senses(NamedTuple):
+class ChaseSenses(NamedTuple):
     """Numbers of the senses, as the kernels need them."""
 
-    first: NDArray[np.int64]  # of first_rows
-    observers: NDArray[np.bool_]  # whose observations are made
-    stride: NDArray[np.float64]  # what its smallest thrust changes in a step [arena unit / s]
-    damping: NDArray[np.float64]  # share of the velocity lost in a step
-    push: NDArray[np.float64]  # u dt, the unit of accelerations in a step [arena unit / s]
-    own_velocity: NDArray[np.float64]  # factor on own velocities without a scale
+    first: Ints  # of first_rows
+    observers: Bools  # whose observations are made
+    stride: Floats  # what its smallest thrust changes in a step [arena unit / s]
+    damping: Floats  # share of the velocity lost in a step
+    push: Floats  # u dt, the unit of accelerations in a step [arena unit / s]
+    own_velocity: Floats  # factor on own velocities without a scale
     near: float  # added to distances before they are inverted [arena unit]
     scales: tuple[float, float]  # of the distance to a wall [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
     limit: int  # of an episode [steps]
-    shares: NDArray[np.float64]  # of a step in each average of the past
+    shares: Floats  # of a step in each average of the past
     dt: float  # [s]
 
 
-def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
+def senses_of(species: ChaseSpecies, observers: Bools) -> ChaseSenses:
     """Return the senses of a species; ``observers`` ``(K,)`` marks whose observations are made."""
     arena, scales = species.arena, species.scales
-    return Senses(
+    return ChaseSenses(
         first_rows(species),
         observers,
         np.array([m.smallest_thrust * scales.dt for m in scales.locomotion]),
@@ -171,7 +173,7 @@ def observe(  # type: ignore[no-untyped-def]
             _observe_more_of_others(
                 i, seen, faced, position, velocity, others, towards, first, near, observation
             )
-            if first[0, Seen.AT_WALL] != ABSENT:
+            if first[0, ChaseGroup.AT_WALL] != ABSENT:
                 observe_wall(
                     i,
                     position,
@@ -246,12 +248,12 @@ def _observe_others(i, seen, faced, others, towards, first, observation):  # typ
     for rank in range(seen):
         row = rank + 1
         for b in range(B):
-            observation[i, first[row, Seen.DISTANCE], b] = others[rank, APART, b]
-        _put(i, first[row, Seen.PLACE], others, rank, DX, 1.0, towards, observation)
-        if rank < faced and first[row, Seen.PLACE] != ABSENT:
+            observation[i, first[row, ChaseGroup.DISTANCE], b] = others[rank, APART, b]
+        _put(i, first[row, ChaseGroup.PLACE], others, rank, DX, 1.0, towards, observation)
+        if rank < faced and first[row, ChaseGroup.PLACE] != ABSENT:
             for b in range(B):
-                observation[i, first[row, Seen.PLACE] + 1, b] = 0.0
-        _put(i, first[row, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
+                observation[i, first[row, ChaseGroup.PLACE] + 1, b] = 0.0
+        _put(i, first[row, ChaseGroup.DRIFT], others, rank, DVX, 1.0, towards, observation)
 
 
 @inline_kernel
@@ -262,19 +264,19 @@ def _observe_more_of_others(  # type: ignore[no-untyped-def]
     B = others.shape[2]
     for rank in range(seen):
         row = rank + 1
-        bearing_at, inverse_at = first[row, Seen.BEARING], first[row, Seen.NEARNESS]
-        place, going = first[row, Seen.OTHER_POSITION], first[row, Seen.OTHER_VELOCITY]
+        bearing_at, inverse_at = first[row, ChaseGroup.BEARING], first[row, ChaseGroup.NEARNESS]
+        place, going = first[row, ChaseGroup.OTHER_POSITION], first[row, ChaseGroup.OTHER_VELOCITY]
         if bearing_at != ABSENT:
             for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
                 bearing = np.float32(0.0) if rank < faced else angle_of(ahead, left)
                 observation[i, bearing_at, b] = bearing
-        if rank >= faced and first[row, Seen.BEARING_CIRCLE] != ABSENT:
+        if rank >= faced and first[row, ChaseGroup.BEARING_CIRCLE] != ABSENT:
             _observe_direction_of(i, rank, others, towards, first, observation)
         if inverse_at != ABSENT:
             for b in range(B):
                 observation[i, inverse_at, b] = 1.0 / (others[rank, APART, b] + near)
-        _put_plane(i, first[row, Seen.OFFSET], others, rank, DX, 1.0, observation)
+        _put_plane(i, first[row, ChaseGroup.OFFSET], others, rank, DX, 1.0, observation)
         if place != ABSENT:
             for x in range(2):
                 for b in range(B):
@@ -285,7 +287,10 @@ def _observe_more_of_others(  # type: ignore[no-untyped-def]
 @inline_kernel
 def _observe_direction_of(i, rank, others, towards, first, observation):  # type: ignore[no-untyped-def]
     """Observe the unit vector towards another that is not the focus; at distance 0 the focus'."""
-    circle, plane = first[rank + 1, Seen.BEARING_CIRCLE], first[rank + 1, Seen.DIRECTION]
+    circle, plane = (
+        first[rank + 1, ChaseGroup.BEARING_CIRCLE],
+        first[rank + 1, ChaseGroup.DIRECTION],
+    )
     for b in range(others.shape[2]):
         apart = others[rank, APART, b]
         ex = towards[i, 0, b]
@@ -302,7 +307,7 @@ def _observe_direction_of(i, rank, others, towards, first, observation):  # type
 @inline_kernel
 def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
     """Observe the centre and the edge of the arena."""
-    centre_at, edge_at = first[0, Seen.CENTRE_DISTANCE], first[0, Seen.EDGE]
+    centre_at, edge_at = first[0, ChaseGroup.CENTRE_DISTANCE], first[0, ChaseGroup.EDGE]
     for b in range(position.shape[2]):
         x = position[i, 0, b]
         y = position[i, 1, b]
@@ -311,7 +316,7 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
             observation[i, centre_at, b] = radius
         if edge_at != ABSENT:
             observation[i, edge_at, b] = edge - (max(abs(x), abs(y)) if shape == SQUARE else radius)
-    _put(i, first[0, Seen.CENTRE], position, i, 0, -1.0, towards, observation)
+    _put(i, first[0, ChaseGroup.CENTRE], position, i, 0, -1.0, towards, observation)
 
 
 # -- oneself --------------------------------------------------------------------------------------
@@ -320,8 +325,8 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
 @inline_kernel
 def _observe_motion(i, velocity, acceleration, towards, first, factor, observation):  # type: ignore[no-untyped-def]
     """Observe own velocity and acceleration; ``factor`` applies to velocities without a scale."""
-    _put(i, first[0, Seen.VELOCITY], velocity, i, 0, factor, towards, observation)
-    at = first[0, Seen.ACCELERATION]
+    _put(i, first[0, ChaseGroup.VELOCITY], velocity, i, 0, factor, towards, observation)
+    at = first[0, ChaseGroup.ACCELERATION]
     _put(i, at, acceleration, i, 0, 1.0, towards, observation)
     if at != ABSENT:
         for row in range(at, at + 2):
@@ -350,30 +355,21 @@ def observe_own(  # type: ignore[no-untyped-def]
     ``factor`` applies to the velocities that have no scale.
     """
     B = position.shape[2]
-    _put_plane(i, first[0, Seen.POSITION], position, i, 0, 1.0, observation)
-    _put_plane(i, first[0, Seen.FOCUS], towards, i, 0, 1.0, observation)
-    _put_plane(i, first[0, Seen.PLANE_VELOCITY], velocity, i, 0, factor, observation)
-    if first[0, Seen.FINE] != ABSENT:
-        _observe_scales(
-            i,
-            velocity,
-            towards,
-            first[0, Seen.FINE],
-            first[0, Seen.COARSE],
-            first[0, Seen.LOG_SPEED],
-            stride,
-            observation,
-        )
-    if first[0, Seen.COURSE] != ABSENT:
-        course, push = first[0, Seen.COURSE], first[0, Seen.PUSH]
+    _put_plane(i, first[0, ChaseGroup.POSITION], position, i, 0, 1.0, observation)
+    _put_plane(i, first[0, ChaseGroup.FOCUS], towards, i, 0, 1.0, observation)
+    _put_plane(i, first[0, ChaseGroup.PLANE_VELOCITY], velocity, i, 0, factor, observation)
+    if first[0, FINE] != ABSENT:
+        _observe_scales(i, velocity, towards, first, FINE, stride, observation)
+    if first[0, ChaseGroup.COURSE] != ABSENT:
+        course, push = first[0, ChaseGroup.COURSE], first[0, ChaseGroup.PUSH]
         _observe_direction(i, velocity, towards, course, FAINT * stride, observation)
         _observe_direction(i, acceleration, towards, push, FAINT, observation)
-    at = first[0, Seen.TIME]
+    at = first[0, ChaseGroup.TIME]
     if at != ABSENT:  # recordings may go on beyond the limit
         for b in range(B):
             observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
     _recall(i, past, towards, first, stride, observation)
-    at = first[0, Seen.OWN_TRAITS]
+    at = first[0, ChaseGroup.OWN_TRAITS]
     if at != ABSENT:
         for x in range(2):
             for b in range(B):
@@ -386,34 +382,16 @@ def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-un
     if first[0, FINE_PAST] != ABSENT:
         for scale in range(past.shape[0]):
             at = FINE_PAST + 3 * scale
-            _observe_scales(
-                i,
-                past[scale],
-                towards,
-                first[0, at],
-                first[0, at + 1],
-                first[0, at + 2],
-                stride,
-                observation,
-            )
+            _observe_scales(i, past[scale], towards, first, at, stride, observation)
     if first[0, FINE_MEMORY] != ABSENT:
         for scale in range(SPANS):
             at = FINE_MEMORY + RECALLED * scale
-            _observe_scales(
-                i,
-                past[scale],
-                towards,
-                first[0, at],
-                first[0, at + 1],
-                first[0, at + 2],
-                stride,
-                observation,
-            )
+            _observe_scales(i, past[scale], towards, first, at, stride, observation)
             for b in range(past.shape[3]):
                 turn, speed = past[SPANS + scale, i, 0, b], past[SPANS + scale, i, 1, b]
                 observation[i, first[0, at + 3], b] = turn
                 observation[i, first[0, at + 4], b] = log_of(np.float32(speed / stride + REST))
-        at = first[0, Seen.DELAYED_SPEED]
+        at = first[0, ChaseGroup.DELAYED_SPEED]
         for k in range(DELAYS):
             for b in range(past.shape[3]):
                 speed = past[2 * SPANS + k // 2, i, k % 2, b]
@@ -421,8 +399,12 @@ def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-un
 
 
 @inline_kernel
-def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation):  # type: ignore[no-untyped-def]
-    """Observe own velocity on three scales, since recorded animals are slow most of the time."""
+def _observe_scales(i, velocity, towards, first, at, stride, observation):  # type: ignore[no-untyped-def]
+    """Observe own velocity on three scales, since recorded animals are slow most of the time.
+
+    The first of the three groups, which follow each other, is ``at``.
+    """
+    fine, coarse, log = first[0, at], first[0, at + 1], first[0, at + 2]
     per_stride = 1.0 / stride
     for b in range(velocity.shape[2]):
         vx = velocity[i, 0, b] * per_stride
@@ -473,8 +455,12 @@ def observe_wall(  # type: ignore[no-untyped-def]
     Animals that follow a wall keep a distance too small to see in the distance from the centre.
     From the middle of a disc it lies towards the focus.
     """
-    at, by, where = first[0, Seen.AT_WALL], first[0, Seen.BY_WALL], first[0, Seen.WALL_CIRCLE]
-    fine, coarse = first[0, Seen.FINE_WALL], first[0, Seen.COARSE_WALL]
+    at, by, where = (
+        first[0, ChaseGroup.AT_WALL],
+        first[0, ChaseGroup.BY_WALL],
+        first[0, ChaseGroup.WALL_CIRCLE],
+    )
+    fine, coarse = first[0, ChaseGroup.FINE_WALL], first[0, ChaseGroup.COARSE_WALL]
     per_stride = 1.0 / stride
     for b in range(position.shape[2]):
         x = position[i, 0, b]
@@ -547,9 +533,7 @@ def _remember(i, at, to, velocity, steps, senses, past):  # type: ignore[no-unty
         speed = was
 
 
-def first_past(
-    velocity: NDArray[np.float64], mask: NDArray[np.bool_], past: NDArray[np.float64]
-) -> None:
+def first_past(velocity: Floats, mask: Bools, past: Floats) -> None:
     """Set the averages ``(scales, K, 2, B)`` where episodes begin: nothing was before."""
     now = velocity[..., mask]
     past[..., mask] = now
@@ -558,9 +542,7 @@ def first_past(
         past[SPANS : 2 * SPANS, :, 0, mask] = 0.0
 
 
-def remembered(
-    species: ChaseSpecies, velocity: NDArray[np.float64], steps: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def remembered(species: ChaseSpecies, velocity: Floats, steps: Ints) -> Floats:
     """Return averages ``(scales, K, 2, frames)`` of recorded velocities ``(K, 2, frames)``.
 
     ``steps`` ``(frames,)`` count from the start of each episode.

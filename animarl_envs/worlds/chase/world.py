@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.locomotion import residual
@@ -136,7 +137,7 @@ class ChaseWorld(World):
             ),
         )
 
-    def _start(self, mask: NDArray[np.bool_]) -> None:
+    def _start(self, mask: Bools) -> None:
         kernels.start(mask, self._reference)
         if len(self._past):
             senses.first_past(self._velocity, mask, self._past)
@@ -148,7 +149,7 @@ class ChaseWorld(World):
         """Observe the present state, by the kernel of a step: there is one to compile."""
         kernels.advance(np.zeros((0, 0), dtype=np.int64), False, self._reference)
 
-    def _wake(self, mask: NDArray[np.bool_]) -> None:
+    def _wake(self, mask: Bools) -> None:
         """Set the first headings of new episodes."""
         recorded = np.full((int(mask.sum()), self.num_individuals), np.nan)
         demo = self.demo[mask]
@@ -170,13 +171,13 @@ class ChaseWorld(World):
 
 def observe(
     species: ChaseSpecies,
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    acceleration: NDArray[np.float64] | None = None,
-    steps: NDArray[np.int64] | None = None,
-    heading: NDArray[np.float64] | None = None,
-    traits: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    position: Floats,
+    velocity: Floats,
+    acceleration: Floats | None = None,
+    steps: Ints | None = None,
+    heading: Floats | None = None,
+    traits: Floats | None = None,
+) -> tuple[NDArray[np.float32], Floats]:
     """Return observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of states.
 
     The same kernel as in simulation, for recorded states ``(frames, K, 2)``; ``acceleration`` in
@@ -215,7 +216,7 @@ def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> 
     )[0]
 
 
-def recorded_traits(species: ChaseSpecies, demos: Demonstrations | None) -> NDArray[np.float64]:
+def recorded_traits(species: ChaseSpecies, demos: Demonstrations | None) -> Floats:
     """Return traits of the individuals of recorded episodes, ``(episodes, K, 2)`` [sd]."""
     if demos is None or species.traits is None:
         count = 0 if demos is None else len(demos)

@@ -33,6 +33,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Count, NotNegative, Positive, check_fields
@@ -99,7 +100,7 @@ class FilamentModel:
         return rows, columns, -margin * self.cell, -(rows // 2) * self.cell
 
     @functools.lru_cache(maxsize=16)  # noqa: B019
-    def release(self, pattern: int) -> NDArray[np.float64]:
+    def release(self, pattern: int) -> Floats:
         """Return the filaments of one pattern, ``(puffs, filaments, 6)``.
 
         They are s_j [s], U_j, v_j, w_j [m/s], y0_j, z0_j [m]. The same pattern number always gives
@@ -121,7 +122,7 @@ class FilamentModel:
             [start[..., None], speed[..., None], self.advection_speed * direction, offset], axis=-1
         )
 
-    def _meander(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def _meander(self, rng: np.random.Generator) -> Floats:
         """Return first-order autoregressive noise of unit variance around the circle of puffs."""
         memory = math.exp(-1.0 / (self.meander_time * self.puff_rate))
         frequency = np.exp(-2j * np.pi * np.fft.rfftfreq(self.num_puffs))

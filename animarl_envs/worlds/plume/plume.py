@@ -25,6 +25,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError, require_extra
 from animarl_envs.settings import Positive, check_fields
@@ -43,7 +44,7 @@ class HitTable(NamedTuple):
     source_column: int
     cell: float  # side of a cell [m]
 
-    def unpack(self, pattern: int, step: int) -> NDArray[np.bool_]:
+    def unpack(self, pattern: int, step: int) -> Bools:
         """Return hits of one step, ``(rows, columns)``."""
         flat = np.unpackbits(self.bits[pattern, step], bitorder="little")
         return flat[: self.rows * self.columns].reshape(self.rows, self.columns).astype(bool)
@@ -67,7 +68,7 @@ def is_hit(table, pattern, step, x, y):  # type: ignore[no-untyped-def]
     return (table.bits[pattern, step, index >> 3] >> (index & 7)) & 1 == 1
 
 
-def stencil_of(radius: float, cell: float) -> NDArray[np.int64]:
+def stencil_of(radius: float, cell: float) -> Ints:
     """Return offsets ``(n, 2)`` in cells (row, column) within ``radius`` of a cell's centre."""
     reach = math.floor(radius / cell + 1e-9)
     offsets = np.arange(-reach, reach + 1)
@@ -76,9 +77,9 @@ def stencil_of(radius: float, cell: float) -> NDArray[np.int64]:
     return np.stack([rows[inside], columns[inside]], axis=-1)
 
 
-def over_steps(frames: Iterable[NDArray[np.bool_]], per_step: float) -> Iterator[NDArray[np.bool_]]:
+def over_steps(frames: Iterable[Bools], per_step: float) -> Iterator[Bools]:
     """Yield the union of the frames of each whole step; a frame longer than a step is repeated."""
-    union: NDArray[np.bool_] | None = None
+    union: Bools | None = None
     done = 0
     for count, frame in enumerate(frames, start=1):
         seen = frame if union is None else union | frame
@@ -287,7 +288,7 @@ class MoviePlume(Plume):
         step = int(time * self.frame_rate) % table.bits.shape[1]
         return table.unpack(0, step).astype(np.float32), table.extent
 
-    def _hits(self) -> Iterator[NDArray[np.bool_]]:
+    def _hits(self) -> Iterator[Bools]:
         frames = self.frames if self.frames is not None else _read_movie(self.path)
         for frame in frames:
             yield frame > self.threshold if frame.dtype != bool else frame
@@ -396,11 +397,11 @@ LONGEST = 10.0  # since the last hit [s]
 class OdourWeights(NamedTuple):
     """The weights of a :class:`FittedOdour`, and room for its inputs."""
 
-    first: NDArray[np.float64]
-    bias: NDArray[np.float64]
-    last: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    inputs: NDArray[np.float64]
+    first: Floats
+    bias: Floats
+    last: Floats
+    offset: Floats
+    inputs: Floats
 
 
 @nb.njit(inline="always")
@@ -417,7 +418,7 @@ def write_inputs(x, y, cosine, sine, left, right, since, out):  # type: ignore[n
     out[8] = math.log(2.0 * min(since, LONGEST) + 1.0) - 0.5
 
 
-def mirrored(inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+def mirrored(inputs: Floats) -> Floats:
     """Return the inputs ``(n, INPUTS)`` of the mirror image."""
     return np.multiply(inputs[:, [0, 1, 2, 3, 4, 5, 7, 6, 8]], [1, -1, 1, -1, 1, -1, 1, 1, 1])
 
@@ -453,17 +454,17 @@ def draw_hits(x, y, cosine, sine, left, right, since, odour, uniform):  # type: 
 class FittedOdour(Plume):
     """Weights of the network ``(INPUTS, n)``, ``(n,)``, ``(n, 4)``, ``(4,)``. One pattern."""
 
-    first: NDArray[np.float64]
-    bias: NDArray[np.float64]
-    last: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    first: Floats
+    bias: Floats
+    last: Floats
+    offset: Floats
     num_patterns: int = 1
 
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
         """Return the table of one pattern, see :meth:`Plume.pattern_table`."""
         return HitTable(np.zeros((1, 1, 1), np.uint8), 1, 1, 0, 0, 1e-3)
 
-    def chances(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def chances(self, inputs: Floats) -> Floats:
         """Return P(no hit, left, right, both), ``(n, 4)``, of inputs ``(n, INPUTS)``."""
         return softmax(np.tanh(inputs @ self.first + self.bias) @ self.last + self.offset)
 
@@ -477,7 +478,7 @@ class FittedOdour(Plume):
         return hit.reshape(x.shape).astype(np.float32), (-0.055, 0.445, -0.155, 0.155)
 
 
-def softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+def softmax(logits: Floats) -> Floats:
     """Return probabilities of each row."""
     chance = np.exp(logits - logits.max(axis=1, keepdims=True))
     return np.asarray(chance / chance.sum(axis=1, keepdims=True))

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.core import types
 from numba.experimental import structref
-from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_turn, next_velocity, residual, turn_between, wrapped
@@ -31,12 +31,12 @@ from animarl_envs.worlds.search.layout import (
     REMEMBERING,
     REST,
     SMALL,
-    Seen,
+    SearchEntry,
 )
 from animarl_envs.worlds.streams import next_below, next_uniform
 
 
-class Senses(NamedTuple):
+class SearchSenses(NamedTuple):
     """Numbers of the body and its senses, as the kernels need them."""
 
     dt: float
@@ -62,13 +62,13 @@ class Senses(NamedTuple):
 class Body(NamedTuple):
     """State of the bodies beside position and velocity; ``B`` copies."""
 
-    heading: NDArray[np.float64]  # (2, B), unit vector, arena frame
-    angle: NDArray[np.float64]  # (B,), of the heading from upwind, to the left [rad]
-    turn: NDArray[np.float64]  # (B,), of the last step, to the left [rad]
-    odour: NDArray[np.float64]  # (2, B), signal of the left and right antenna
-    trace: NDArray[np.float64]  # (2, B), the same, decaying slowly to zero
-    traits: NDArray[np.float64]  # (2, B), of the individual [sd]
-    past: NDArray[np.float64]  # (8, B), means of the past: see Seen and PAST
+    heading: Floats  # (2, B), unit vector, arena frame
+    angle: Floats  # (B,), of the heading from upwind, to the left [rad]
+    turn: Floats  # (B,), of the last step, to the left [rad]
+    odour: Floats  # (2, B), signal of the left and right antenna
+    trace: Floats  # (2, B), the same, decaying slowly to zero
+    traits: Floats  # (2, B), of the individual [sd]
+    past: Floats  # (8, B), means of the past: see SearchEntry and PAST
 
     @classmethod
     def of(cls, copies: int, baseline: float = 0.0) -> Body:
@@ -81,14 +81,14 @@ class Body(NamedTuple):
         return cls(heading, np.zeros(copies), np.zeros(copies), odour, trace, traits, past)
 
 
-def senses_of(species: SearchSpecies) -> Senses:
+def senses_of(species: SearchSpecies) -> SearchSenses:
     """Return the senses of a species."""
     angle, dt, turning = math.radians(species.antenna_angle), species.dt, species.turning
     own, scales = (0.0, 0.0, 1.0, 0.0, 1.0), species.scales
     if turning is not None:
         slip = math.cos(turning.slip), math.sin(turning.slip)
         own = (turning.persistence, turning.gain, *slip, turning.speed)
-    return Senses(
+    return SearchSenses(
         dt,
         species.rest_speed,
         species.antenna_length * math.cos(angle),
@@ -261,27 +261,27 @@ def sense(  # type: ignore[no-untyped-def]
         out[0, column] = 1.0 if hit_left else 0.0
         out[1, column] = 1.0 if hit_right else 0.0
     else:
-        out[Seen.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
-        out[Seen.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
-        out[Seen.BODY_ANGLE, column] = body.angle[b]
-        out[Seen.ODOUR_LEFT, column] = body.odour[0, b]
-        out[Seen.ODOUR_RIGHT, column] = body.odour[1, b]
+        out[SearchEntry.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
+        out[SearchEntry.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
+        out[SearchEntry.BODY_ANGLE, column] = body.angle[b]
+        out[SearchEntry.ODOUR_LEFT, column] = body.odour[0, b]
+        out[SearchEntry.ODOUR_RIGHT, column] = body.odour[1, b]
         _sense_air(b, condition, senses, body, out, column)
     if out.shape[0] > PAPER:
-        out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
-        out[Seen.HIT_RIGHT, column] = 1.0 if hit_right else 0.0
+        out[SearchEntry.HIT_LEFT, column] = 1.0 if hit_left else 0.0
+        out[SearchEntry.HIT_RIGHT, column] = 1.0 if hit_right else 0.0
     if out.shape[0] > SMALL:
         _sense_more(b, velocity_x, velocity_y, senses, body, out, column)
-        out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
-        out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
+        out[SearchEntry.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
+        out[SearchEntry.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
     traits = REMEMBERING if out.shape[0] >= REMEMBERING else ALIKE  # the first row of traits
     for k in range(ALIKE, traits - 1):
         now = math.hypot(velocity_x, velocity_y) / senses.stride
-        if k <= Seen.TURN_10:
+        if k <= SearchEntry.TURN_10:
             now = body.turn[b] / senses.dt
-        elif k <= Seen.WAY_LEFT_10:
+        elif k <= SearchEntry.WAY_LEFT_10:
             now = -velocity_y / senses.stride
-        elif k <= Seen.WAY_AHEAD_10:
+        elif k <= SearchEntry.WAY_AHEAD_10:
             now = -velocity_x / senses.stride
         before = body.past[k - ALIKE, b]
         mean = before + (now - before) * (1.0 - math.exp(-senses.dt / PAST[k - ALIKE]))
@@ -296,43 +296,43 @@ def sense(  # type: ignore[no-untyped-def]
 @inline_kernel
 def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
     """Sense visual flow and the side the wind comes from; neither in condition 1."""
-    for row in range(Seen.FLOW, Seen.WIND_BACK + 1):
+    for row in range(SearchEntry.FLOW, SearchEntry.WIND_BACK + 1):
         out[row, column] = 0.0
     if condition != 0:
         return
     flow = -body.turn[b] / senses.dt
     if abs(flow) < senses.flow_threshold:
         flow = 0.0
-    out[Seen.FLOW, column] = min(senses.flow_limit, max(-senses.flow_limit, flow))
+    out[SearchEntry.FLOW, column] = min(senses.flow_limit, max(-senses.flow_limit, flow))
     ahead = -body.heading[0, b]  # cosine and sine of the body angle
     left = -body.heading[1, b]
     if ahead >= abs(left):
-        out[Seen.WIND_FRONT, column] = 1.0
+        out[SearchEntry.WIND_FRONT, column] = 1.0
     elif -ahead >= abs(left):
-        out[Seen.WIND_BACK, column] = 1.0
+        out[SearchEntry.WIND_BACK, column] = 1.0
     elif left > 0.0:  # facing left of upwind, the air comes from the right
-        out[Seen.WIND_RIGHT, column] = 1.0
+        out[SearchEntry.WIND_RIGHT, column] = 1.0
     else:
-        out[Seen.WIND_LEFT, column] = 1.0
+        out[SearchEntry.WIND_LEFT, column] = 1.0
 
 
 @inline_kernel
 def _sense_more(b, velocity_x, velocity_y, senses, body, out, column):  # type: ignore[no-untyped-def]
     """Sense the same quantities on scales that networks can use, and a longer memory of hits."""
-    out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
-    out[Seen.ODOUR_SUM, column] = body.odour[0, b] + body.odour[1, b]
-    out[Seen.TRACE_LEFT, column] = body.trace[0, b]
-    out[Seen.TRACE_RIGHT, column] = body.trace[1, b]
-    out[Seen.ANGLE_COSINE, column] = -body.heading[0, b]
-    out[Seen.ANGLE_SINE, column] = -body.heading[1, b]
+    out[SearchEntry.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
+    out[SearchEntry.ODOUR_SUM, column] = body.odour[0, b] + body.odour[1, b]
+    out[SearchEntry.TRACE_LEFT, column] = body.trace[0, b]
+    out[SearchEntry.TRACE_RIGHT, column] = body.trace[1, b]
+    out[SearchEntry.ANGLE_COSINE, column] = -body.heading[0, b]
+    out[SearchEntry.ANGLE_SINE, column] = -body.heading[1, b]
     ahead = -velocity_x / senses.stride
     left = -velocity_y / senses.stride
-    out[Seen.FINE_AHEAD, column] = math.tanh(ahead)
-    out[Seen.FINE_LEFT, column] = math.tanh(left)
-    out[Seen.COARSE_AHEAD, column] = math.tanh(ahead / 3.0)
-    out[Seen.COARSE_LEFT, column] = math.tanh(left / 3.0)
-    out[Seen.LOG_SPEED, column] = math.log(math.sqrt(ahead * ahead + left * left) + REST)
-    out[Seen.YAW_RATE, column] = body.turn[b] / senses.dt
+    out[SearchEntry.FINE_AHEAD, column] = math.tanh(ahead)
+    out[SearchEntry.FINE_LEFT, column] = math.tanh(left)
+    out[SearchEntry.COARSE_AHEAD, column] = math.tanh(ahead / 3.0)
+    out[SearchEntry.COARSE_LEFT, column] = math.tanh(left / 3.0)
+    out[SearchEntry.LOG_SPEED, column] = math.log(math.sqrt(ahead * ahead + left * left) + REST)
+    out[SearchEntry.YAW_RATE, column] = body.turn[b] / senses.dt
 
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source

@@ -1,6 +1,6 @@
 """What a searcher observes: the one table from which kernel, spaces and pages are made.
 
-:class:`Seen` is the order, :func:`observation_components` says what each entry means, and
+:class:`SearchEntry` is the order, :func:`observation_components` says what each entry means, and
 :func:`animarl_envs.worlds.search.kernels.sense` writes them. The first ``PAPER`` entries are the
 paper's, where ``observation="paper"`` stops; ``"compact"`` holds the hits themselves beside them,
 ``"full"`` all, and ``"odour"`` the hits alone. The position is not among them.
@@ -9,6 +9,7 @@ paper's, where ``observation="paper"`` stops; ``"compact"`` holds the hits thems
 from __future__ import annotations
 
 import math
+import re
 from enum import IntEnum
 
 from animarl_envs.species import COMPACT, SearchSpecies
@@ -21,14 +22,14 @@ EGO, BODY = "egocentric, x upwind, y to the left", "body"
 REST = 0.3  # added to the speed in steps of thrust before its logarithm is taken
 
 
-class Seen(IntEnum):
+class SearchEntry(IntEnum):
     """Rows of an observation: its component's name, frame, unit, range, and look in a mirror.
 
-    ``span`` names a range of :func:`observation_components`; ``description``, ``sign`` and
-    ``mirror`` are those of an :class:`~animarl_envs.worlds.base.ObservationComponent`.
+    ``span`` names a range of :func:`observation_components`; ``description`` and ``sign`` are those
+    of an :class:`~animarl_envs.worlds.base.ObservationComponent`.
     """
 
-    component: tuple[str, str, str, str, str, float, str]
+    component: tuple[str, str, str, str, str, float]
 
     def __new__(
         cls,
@@ -38,13 +39,21 @@ class Seen(IntEnum):
         span: str,
         description: str,
         sign: float = 1.0,
-        mirror: str = "",
-    ) -> Seen:
+    ) -> SearchEntry:
         """Make a member numbered in order, with its component."""
         member = int.__new__(cls, len(cls.__members__))
         member._value_ = len(cls.__members__)
-        member.component = label, frame, unit, span, description, sign, mirror
+        member.component = label, frame, unit, span, description, sign
         return member
+
+    @property
+    def mirror(self) -> str:
+        """Label of the component on the other side, if there is one for each side."""
+        label = self.component[0]
+        other = "left" if "right" in label else "right"
+        swapped = re.sub("left|right", other, label)
+        labels = {one.component[0] for one in SearchEntry}
+        return swapped if swapped != label and swapped in labels else ""
 
     VELOCITY_AHEAD = (
         "velocity ahead",
@@ -62,63 +71,15 @@ class Seen(IntEnum):
         -1.0,
     )
     BODY_ANGLE = ("body angle", EGO, "rad", "angle", "it moves in another direction", -1.0)
-    ODOUR_LEFT = (
-        "odour left",
-        BODY,
-        "1",
-        "share",
-        "it smells [less|more] on the left",
-        1.0,
-        "odour right",
-    )
-    ODOUR_RIGHT = (
-        "odour right",
-        BODY,
-        "1",
-        "share",
-        "it smells [less|more] on the right",
-        1.0,
-        "odour left",
-    )
+    ODOUR_LEFT = ("odour left", BODY, "1", "share", "it smells [less|more] on the left")
+    ODOUR_RIGHT = ("odour right", BODY, "1", "share", "it smells [less|more] on the right")
     FLOW = ("visual flow", BODY, "rad / s", "flow", "it turns [right|left] faster", -1.0)
     WIND_FRONT = ("wind from front", BODY, "1", "share", "it feels [less|more] wind from the front")
-    WIND_RIGHT = (
-        "wind from right",
-        BODY,
-        "1",
-        "share",
-        "it feels [less|more] wind from the right",
-        1.0,
-        "wind from left",
-    )
-    WIND_LEFT = (
-        "wind from left",
-        BODY,
-        "1",
-        "share",
-        "it feels [less|more] wind from the left",
-        1.0,
-        "wind from right",
-    )
+    WIND_RIGHT = ("wind from right", BODY, "1", "share", "it feels [less|more] wind from the right")
+    WIND_LEFT = ("wind from left", BODY, "1", "share", "it feels [less|more] wind from the left")
     WIND_BACK = ("wind from back", BODY, "1", "share", "it feels [less|more] wind from the back")
-    HIT_LEFT = (
-        "hit left",
-        BODY,
-        "1",
-        "share",
-        "it smells [less|more] on the left",
-        1.0,
-        "hit right",
-    )
-    HIT_RIGHT = (
-        "hit right",
-        BODY,
-        "1",
-        "share",
-        "it smells [less|more] on the right",
-        1.0,
-        "hit left",
-    )
+    HIT_LEFT = ("hit left", BODY, "1", "share", "it smells [less|more] on the left")
+    HIT_RIGHT = ("hit right", BODY, "1", "share", "it smells [less|more] on the right")
     ODOUR_DIFFERENCE = (
         "odour left minus right",
         BODY,
@@ -128,24 +89,8 @@ class Seen(IntEnum):
         -1.0,
     )
     ODOUR_SUM = ("odour left plus right", BODY, "1", "sum", "it smells [less|more]")
-    TRACE_LEFT = (
-        "trace left",
-        BODY,
-        "1",
-        "share",
-        "it smells [less|more] on the left",
-        1.0,
-        "trace right",
-    )
-    TRACE_RIGHT = (
-        "trace right",
-        BODY,
-        "1",
-        "share",
-        "it smells [less|more] on the right",
-        1.0,
-        "trace left",
-    )
+    TRACE_LEFT = ("trace left", BODY, "1", "share", "it smells [less|more] on the left")
+    TRACE_RIGHT = ("trace right", BODY, "1", "share", "it smells [less|more] on the right")
     ANGLE_COSINE = ("body angle, cosine", EGO, "1", "unit", "it moves in another direction")
     ANGLE_SINE = ("body angle, sine", EGO, "1", "unit", "it moves in another direction", -1.0)
     FINE_AHEAD = ("velocity ahead, fine", EGO, "1", "unit", "it moves [downwind|upwind] faster")
@@ -255,10 +200,10 @@ class Seen(IntEnum):
     )
 
 
-PAPER = Seen.WIND_BACK + 1  # components of the paper
-SMALL = Seen.HIT_RIGHT + 1  # of the compact observation
-ALIKE = Seen.YAW_RATE + 1  # components where all individuals are alike
-REMEMBERING = Seen.SINCE_HIT + 1  # where they perceive their past, too
+PAPER = SearchEntry.WIND_BACK + 1  # components of the paper
+SMALL = SearchEntry.HIT_RIGHT + 1  # of the compact observation
+ALIKE = SearchEntry.YAW_RATE + 1  # components where all individuals are alike
+REMEMBERING = SearchEntry.SINCE_HIT + 1  # where they perceive their past, too
 PAST = (1.0, 3.0, 10.0, 3.0, 10.0, 3.0, 10.0, 10.0)
 """Time constants of those that are means of the past, exponential, from the start of an episode
 at rest [s]."""
@@ -297,14 +242,13 @@ def observation_components(
     }
     every = REMEMBERING if species.senses_past else ALIKE
     first = {"paper": PAPER, COMPACT: SMALL}.get(species.observation, every)
-    wanted = list(Seen)[:first]
+    wanted = list(SearchEntry)[:first]
     if species.observation == "full" and species.traits is not None:
-        wanted += [Seen.OWN_SPEED, Seen.OWN_TURNING]
+        wanted += [SearchEntry.OWN_SPEED, SearchEntry.OWN_TURNING]
     if species.observation == "odour":
-        wanted = [Seen.HIT_LEFT, Seen.HIT_RIGHT]
+        wanted = [SearchEntry.HIT_LEFT, SearchEntry.HIT_RIGHT]
     return tuple(
-        ObservationComponent(label, frame, unit, *spans[span], sign, mirror, description)
-        for label, frame, unit, span, description, sign, mirror in (
-            seen.component for seen in wanted
-        )
+        ObservationComponent(label, frame, unit, *spans[span], sign, seen.mirror, description)
+        for seen in wanted
+        for label, frame, unit, span, description, sign in [seen.component]
     )

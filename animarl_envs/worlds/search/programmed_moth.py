@@ -25,15 +25,22 @@ import numpy as np
 from annotated_types import Gt, Le
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.settings import NotNegative, Positive, check_fields
 from animarl_envs.species import SILKMOTH, SearchSpecies
-from animarl_envs.worlds.search.layout import Seen
+from animarl_envs.worlds.search.layout import SearchEntry
 
-AHEAD, LEFT, BODY_ANGLE = Seen.VELOCITY_AHEAD, Seen.VELOCITY_LEFT, Seen.BODY_ANGLE
-ODOUR_LEFT, ODOUR_RIGHT, FLOW = Seen.ODOUR_LEFT, Seen.ODOUR_RIGHT, Seen.FLOW
-WIND_FRONT, WIND_RIGHT, WIND_LEFT, WIND_BACK = range(Seen.WIND_FRONT, Seen.WIND_BACK + 1)
+AHEAD, LEFT, BODY_ANGLE = (
+    SearchEntry.VELOCITY_AHEAD,
+    SearchEntry.VELOCITY_LEFT,
+    SearchEntry.BODY_ANGLE,
+)
+ODOUR_LEFT, ODOUR_RIGHT, FLOW = SearchEntry.ODOUR_LEFT, SearchEntry.ODOUR_RIGHT, SearchEntry.FLOW
+WIND_FRONT, WIND_RIGHT, WIND_LEFT, WIND_BACK = range(
+    SearchEntry.WIND_FRONT, SearchEntry.WIND_BACK + 1
+)
 _NEVER = 1_000_000  # steps since the last contact, before the first
 
 
@@ -91,7 +98,7 @@ class ProgrammedMoth:
         self._phase_starts = np.maximum.accumulate(np.round(starts)).astype(int)
         self.reset()
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+    def reset(self, mask: Bools | None = None) -> None:
         """Start new moths where ``mask`` (copies,) is true (everywhere by default)."""
         mask = np.ones(self.copies, dtype=bool) if mask is None else mask
         spread = self.programme.pace_spread * self.generator.standard_normal(self.copies)
@@ -100,7 +107,7 @@ class ProgrammedMoth:
         self._since[mask] = _NEVER
         self.turned[mask] = 0.0
 
-    def act(self, observation: NDArray[np.floating]) -> NDArray[np.int64]:
+    def act(self, observation: NDArray[np.floating]) -> Ints:
         """Return the actions ``(copies, 1)`` for observations ``(copies, 1, n)``."""
         seen = np.asarray(observation, dtype=np.float64)[:, 0]
         programme, dt, count = self.programme, self.species.dt, self.copies
@@ -149,9 +156,7 @@ class ProgrammedMoth:
         wanted[self._since >= _NEVER] = 0.0
         return self._nearest_action(seen[:, [AHEAD, LEFT]], wanted)[:, None]
 
-    def _nearest_action(
-        self, velocity: NDArray[np.float64], wanted: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _nearest_action(self, velocity: Floats, wanted: Floats) -> Ints:
         """Return the action whose next velocity is nearest the wanted one, in the upwind frame."""
         own = self.species.locomotion[0]
         reachable = next_velocity(

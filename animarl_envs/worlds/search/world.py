@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -128,13 +129,13 @@ class SearchWorld(World):
             ),
         )
 
-    def _start(self, mask: NDArray[np.bool_]) -> None:
+    def _start(self, mask: Bools) -> None:
         kernels.start(mask, self._reference)
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
         kernels.step(actions, self._reference)
 
-    def antennae(self) -> NDArray[np.float64]:
+    def antennae(self) -> Floats:
         """Return positions of the left and right antenna, ``(B, 2, 2)``, arena frame."""
         return antennae_at(self.scenario.species, self.position[:, 0], self.heading)
 
@@ -147,9 +148,7 @@ class SearchWorld(World):
         }
 
 
-def antennae_at(
-    species: Any, position: NDArray[np.float64], heading: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def antennae_at(species: Any, position: Floats, heading: Floats) -> Floats:
     """Return both antennae ``(..., 2, 2)`` of bodies at ``(..., 2)``, headings as unit vectors."""
     angle = np.deg2rad(species.antenna_angle)
     ahead = species.antenna_length * math.cos(angle) * heading
@@ -197,14 +196,14 @@ def demonstration_observations(
 
 
 class _RecordedSenses(NamedTuple):
-    hits: NDArray[np.bool_]  # (frames, 2), or empty
-    heading: NDArray[np.float64]  # (frames,) [rad], or empty
-    candidates: NDArray[np.int64]  # (2, patterns), first those of training, then of test
-    num_candidates: NDArray[np.int64]  # (2,)
-    group: NDArray[np.int64]  # (episodes,), row of candidates
-    pattern: NDArray[np.int64]  # (episodes,), -1: draw it
-    phase: NDArray[np.int64]  # (episodes,), -1: draw it
-    traits: NDArray[np.float64]  # (episodes, 2) [sd]
+    hits: Bools  # (frames, 2), or empty
+    heading: Floats  # (frames,) [rad], or empty
+    candidates: Ints  # (2, patterns), first those of training, then of test
+    num_candidates: Ints  # (2,)
+    group: Ints  # (episodes,), row of candidates
+    pattern: Ints  # (episodes,), -1: draw it
+    phase: Ints  # (episodes,), -1: draw it
+    traits: Floats  # (episodes, 2) [sd]
 
 
 def _recorded_senses(

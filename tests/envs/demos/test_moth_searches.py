@@ -17,7 +17,7 @@ from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH
 from animarl_envs.species.silkmoth import RECORDED_TURNING
-from animarl_envs.worlds.search.layout import ALIKE, Seen
+from animarl_envs.worlds.search.layout import ALIKE, SearchEntry
 from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
 from tools.packaged_data.moth_comparison import comparison, rates
 from tools.packaged_data.moth_published import PUBLISHED
@@ -165,16 +165,21 @@ def test_recorded_headings_are_the_body_s_where_it_turns_by_itself() -> None:
     species = replace(SILKMOTH, turning=RECORDED_TURNING)
     seen = demonstration_observations(species, demos, condition=0)[:, 0]
     angle = (heading % (2 * np.pi)) - np.pi  # from upwind, to the left
-    np.testing.assert_allclose(seen[:, Seen.BODY_ANGLE], angle, atol=1e-6)
+    np.testing.assert_allclose(seen[:, SearchEntry.BODY_ANGLE], angle, atol=1e-6)
     quarter = np.round(angle / (np.pi / 2)).astype(int) % 4  # faces upwind, left of it, ...
-    sides = [Seen.WIND_FRONT, Seen.WIND_RIGHT, Seen.WIND_BACK, Seen.WIND_LEFT]
+    sides = [
+        SearchEntry.WIND_FRONT,
+        SearchEntry.WIND_RIGHT,
+        SearchEntry.WIND_BACK,
+        SearchEntry.WIND_LEFT,
+    ]
     assert (seen[np.arange(240), np.array(sides)[quarter]] == 1.0).all()
     later = np.arange(240) % 40 > 0
     turned = np.diff(heading, prepend=heading[0])
     turned = (turned + np.pi) % (2 * np.pi) - np.pi
-    np.testing.assert_allclose(seen[later, Seen.YAW_RATE], turned[later] / 0.5, atol=1e-5)
+    np.testing.assert_allclose(seen[later, SearchEntry.YAW_RATE], turned[later] / 0.5, atol=1e-5)
     follows = demonstration_observations(SILKMOTH, demos, condition=0)[:, 0]
-    assert np.abs(follows[:, Seen.BODY_ANGLE] - angle).mean() > 0.5
+    assert np.abs(follows[:, SearchEntry.BODY_ANGLE] - angle).mean() > 0.5
 
 
 def test_after_the_warm_up_the_body_turns_on_from_its_recorded_heading() -> None:
@@ -231,7 +236,7 @@ def test_offline_observations_follow_the_recorded_condition() -> None:
     seen = demonstration_observations(SILKMOTH, demos)
     assert seen.shape == (240, 1, ALIKE) and seen.dtype == np.float32
     reduced = np.repeat(demos.condition == 1, 40)
-    assert not seen[reduced][..., Seen.FLOW : Seen.WIND_BACK + 1].any()
+    assert not seen[reduced][..., SearchEntry.FLOW : SearchEntry.WIND_BACK + 1].any()
     assert (seen[~reduced][..., WIND].sum(axis=-1) == 1.0).all()
     hit = demos.signals["odour_left"]
     assert (seen[hit, 0, 3] == 1.0).all() and (seen[~hit, 0, 3] < 1.0).all()

@@ -18,7 +18,7 @@ from animarl_envs import parallel_env
 from animarl_envs.demos.summary import Unit
 from animarl_envs.drawing import palette
 from animarl_envs.drawing.palette import BODIES
-from animarl_envs.drawing.render import Renderer, round_length, view_of, write_clip
+from animarl_envs.drawing.render import Renderer, round_length, window_of, write_clip
 from animarl_envs.drawing.scene import PlumeField, Scene, SceneRecorder
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.scenario import make_scenario
@@ -59,7 +59,7 @@ def make_search(path: np.ndarray, **changes: Any) -> Scene:
 
 def pixel_of(scene: Scene, point: tuple[float, float]) -> tuple[int, int]:
     """Row and column of a point of the arena frame."""
-    view = view_of(scene)
+    view = window_of(scene)
     column = (point[0] - view.x + view.half) / (2 * view.half) * SIZE
     row = (view.y + view.half - point[1]) / (2 * view.half) * SIZE
     return int(row), int(column)
@@ -158,13 +158,13 @@ def test_plume_has_its_first_row_at_the_bottom_and_fades_out_before_its_field_en
 def test_a_long_search_stays_in_the_picture_and_fills_it(away):
     path = np.linspace((0.3, 0.0), away, 500)
     moth = make_search(path)
-    view = view_of(moth)
+    view = window_of(moth)
     everything = np.concatenate([path, np.zeros((1, 2))])
     assert (np.abs(everything - (view.x, view.y)) < view.half).all()
     assert np.ptp(everything, axis=0).max() > 0.5 * view.half  # of the 2 that are shown
-    assert view_of(make_search(np.concatenate([path, path[-1:] + 0.001]))) == view
+    assert window_of(make_search(np.concatenate([path, path[-1:] + 0.001]))) == view
     far = make_scene(positions=np.array([(2.5, 0.0), (0.0, 0.0)]))
-    assert view_of(make_scene()).half < 1.3 and view_of(far).half > 2.5
+    assert window_of(make_scene()).half < 1.3 and window_of(far).half > 2.5
 
 
 def test_every_body_that_a_species_may_have_is_drawn(renderer):
@@ -188,7 +188,7 @@ def test_a_species_says_what_its_animals_look_like():
 def test_open_field_shows_source_start_and_scale(renderer):
     antennae = np.array([(0.24, 0.015), (0.24, 0.025)])
     moth = make_search(np.array([(0.3, 0.0), (0.25, 0.02)]), antennae=antennae, odour=(1.0, 0.0))
-    view = view_of(moth)
+    view = window_of(moth)
     for x in (0.0, 0.3):
         assert abs(x - view.x) < view.half
     wind = renderer.draw(moth)[int(0.9 * SIZE) : SIZE, SIZE // 2 :]

@@ -20,7 +20,7 @@ from animarl_envs.species.traits import LARGEST, Floats, Traits, episode_traits,
 from animarl_envs.species.turning import Turning
 from animarl_envs.worlds import demonstration_observations
 from animarl_envs.worlds.plume.plume import hit_table
-from animarl_envs.worlds.search.layout import ALIKE, PAPER, PAST, REMEMBERING, Seen
+from animarl_envs.worlds.search.layout import ALIKE, PAPER, PAST, REMEMBERING, SearchEntry
 from animarl_envs.worlds.search.world import SearchWorld, antennae_at
 
 
@@ -123,7 +123,7 @@ def test_the_past_is_averaged_from_the_start_of_the_episode_on() -> None:
         seen = rollout(world, random_actions(60, 4)).astype(np.float64)
         velocity = seen[..., :2] / stride
         now = {
-            "turning": seen[..., Seen.YAW_RATE], "way left": velocity[..., 1],
+            "turning": seen[..., SearchEntry.YAW_RATE], "way left": velocity[..., 1],
             "way ahead": velocity[..., 0], "own speed": np.linalg.norm(velocity, axis=-1),
         }  # fmt: skip
         for row, seconds in enumerate(PAST, start=ALIKE):
@@ -131,10 +131,15 @@ def test_the_past_is_averaged_from_the_start_of_the_episode_on() -> None:
             for t, value in enumerate(values):
                 mean += (value - mean) * (1 - math.exp(-world.scenario.species.dt / seconds))
                 np.testing.assert_allclose(seen[t, :, row], mean, atol=1e-4)
-        hit, since = (seen[..., Seen.HIT_LEFT : Seen.HIT_RIGHT + 1] > 0).any(-1), np.full(4, 10.0)
+        hit, since = (
+            (seen[..., SearchEntry.HIT_LEFT : SearchEntry.HIT_RIGHT + 1] > 0).any(-1),
+            np.full(4, 10.0),
+        )
         for t, hits in enumerate(hit):
             since = np.where(hits, 0.0, np.minimum(10.0, since + world.scenario.species.dt))
-            np.testing.assert_allclose(seen[t, :, Seen.SINCE_HIT], np.log1p(2 * since), atol=1e-4)
+            np.testing.assert_allclose(
+                seen[t, :, SearchEntry.SINCE_HIT], np.log1p(2 * since), atol=1e-4
+            )
         assert 0 < hit.mean() < 1
 
 
