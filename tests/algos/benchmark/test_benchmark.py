@@ -154,6 +154,7 @@ def begun(script: str, out: Path, sign: str) -> subprocess.Popen[bytes]:
     return child
 
 
+@pytest.mark.slow
 def test_benchmark_goes_on_after_an_interruption(finished: Path, tmp_path: Path) -> None:
     """Whatever is finished is kept, and the same command comes to the same bytes."""
     out = tmp_path / "killed"
@@ -328,6 +329,7 @@ def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
     assert moved.key == cell.key
 
 
+@pytest.mark.slow
 def test_commands_share_the_pieces(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

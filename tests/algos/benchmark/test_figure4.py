@@ -128,6 +128,7 @@ def test_the_program_moves_as_the_flies_that_it_made() -> None:
     assert all(met.values())
 
 
+@pytest.mark.slow
 def test_flies_that_only_coast_miss_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     def coast(program: Courtship, observation: np.ndarray, **_: object) -> tuple[np.ndarray, None]:
         return np.full(len(observation), COAST), None

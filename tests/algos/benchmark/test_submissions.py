@@ -200,6 +200,7 @@ def test_benchmark_crosses_own_recordings(
     assert "| days/soft-bc | 1 |" in (finished / "costs.md").read_text()  # one seed, not three
 
 
+@pytest.mark.slow
 def test_benchmark_measures_rollouts_against_their_own_starts(
     rows: dict[str, pd.DataFrame],
 ) -> None:

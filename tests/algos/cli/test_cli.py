@@ -103,6 +103,7 @@ def test_folds_are_dealt_where_they_make_a_verdict_possible(
     assert number_of_folds(replace(demos, split=split), asked) == folds
 
 
+@pytest.mark.slow
 def test_train_by_environment_and_preset_then_more(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
@@ -195,6 +196,7 @@ def test_ones_own_animals_need_no_species(
     assert fitted.individuals == names and fitted.dt == demos.dt
 
 
+@pytest.mark.slow
 def test_a_damaged_checkpoint_or_folder_is_refused(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:

@@ -109,6 +109,7 @@ def test_one_run_is_rolled_out_again_in_its_own_folder(
         assert told[told.index("DQDIL-PT acting.seed 0") + 1] == rule
 
 
+@pytest.mark.slow
 def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
     animarl: Callable[..., Done], tmp_path: Path
 ) -> None:

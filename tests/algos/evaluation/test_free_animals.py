@@ -129,6 +129,7 @@ def judge(demos: Demonstrations, paths: list[np.ndarray], each: int) -> Verdict:
     return verdict(demos, rollouts_of(demos, paths, each), seed=0)
 
 
+@pytest.mark.slow
 def test_a_shoal_is_judged_as_a_group(group: Demonstrations) -> None:
     """A true simulator is not told from it; animals that do not see each other are."""
     same = [path for seed in (11, 12) for path in _from_starts(group, seed, LAW)]

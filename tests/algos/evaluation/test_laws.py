@@ -46,6 +46,7 @@ def test_a_law_starts_where_recordings_do_and_stays_within_walls() -> None:
     assert solo.arena.contains(made.positions, margin=1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_law_stands_beside_the_rows_and_is_beaten_by_a_perfect_simulator() -> None:
     world, rng = WORLDS["free pair"], np.random.default_rng(0)
     recorded = world.recordings(12, rng)

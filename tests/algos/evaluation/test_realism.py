@@ -45,6 +45,7 @@ def dying_early(rollouts: Rollouts) -> Rollouts:
     return replace(rollouts, positions=np.concatenate(paths), lengths=kept)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", [PAIR, CHASE], ids=["pair", "chase"])
 def test_realism_ranks_the_true_simulator_above_every_broken_one(world: KnownWorld) -> None:
     recorded, perfect = recorded_and_simulated(world, 30, seed=1)

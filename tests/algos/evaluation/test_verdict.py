@@ -321,6 +321,7 @@ def test_worse_than_untrained_is_said_only_where_it_holds() -> None:
     assert not any("untrained" in sentence for sentence in implausible(same))
 
 
+@pytest.mark.slow
 def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
     demos, others = recorded_pairs(), recorded_pairs(seed=9)
     slow, still = (simulated_pairs(demos, kind) for kind in ("slow", "still"))

@@ -200,6 +200,7 @@ def test_ends_of_the_ranges_belong_to_them() -> None:
     DQN("GruPolicy", toys.Pair(2), **SETTINGS | ends | dict.fromkeys(zeros, 0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
 def test_the_wrapper_is_seen_through_a_vector_of_environments(kind: type) -> None:
     """The DTW reward around a single environment is enough for DQDIL, also in a subprocess."""

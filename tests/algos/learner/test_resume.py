@@ -253,6 +253,7 @@ def kills_leave_no_trace(run: str, folder: Path, moments: list[tuple[int, float]
     assert straight._n_updates == resumed._n_updates > 0
 
 
+@pytest.mark.slow
 def test_a_short_run_killed_offline_and_online(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     offline = (int(rng.integers(3, killed_runs.EPOCHS + 1)), rng.uniform(0.0, 0.05))

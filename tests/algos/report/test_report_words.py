@@ -100,6 +100,7 @@ def test_only_recordings_are_called_recorded() -> None:
     assert "Differs: it excludes zero" in recorded
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("synthetic", [True, False])
 def test_lengths_are_told_in_the_unit_of_the_recordings(synthetic: bool) -> None:
     texts = page_of(synthetic).texts

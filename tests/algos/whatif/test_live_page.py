@@ -363,6 +363,7 @@ def wanted_speed(page: Any, individual: int, factor: float) -> tuple[str, float,
     return page.inner_text("#progress"), float(row[3]) / float(row[2]), set_to
 
 
+@pytest.mark.slow
 def test_a_speed_slider_finds_the_thrust_that_python_finds(browser: Any, tmp_path: Path) -> None:
     run = load_run("agent")
     opened = browser.new_page()

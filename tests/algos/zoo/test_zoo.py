@@ -170,6 +170,7 @@ def test_evaluations_are_a_tenth_of_the_run_apart_unless_told(
     assert (run / "best_model.zip").exists()
 
 
+@pytest.mark.slow
 def test_one_individual_in_training(zoo: Callable[..., Done], small: Path) -> None:
     params = ["-params", "offline_epochs:1", "learning_rate:lin_1e-3"]
     done = zoo("train", "--algo", "qr-dqcil-pt", *tiny(small), "focal:prey", "-P", *params)
@@ -189,6 +190,7 @@ def test_cloning_alone_and_other_environments_train_too(
     assert (tmp_path / "logs" / algo / f"{name}_1" / f"{name}.zip").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algo", ["bc", "dqdil"])
 def test_optimize_tunes_into_sqlite(
     algo: str, zoo: Callable[..., Done], small: Path, tmp_path: Path

@@ -305,6 +305,7 @@ def test_exports_in_a_workbook_of_many_sheets_are_parsed_once(
     assert len(parsed) == 1
 
 
+@pytest.mark.slow
 def test_exports_in_workbooks_that_ask_for_too_much_are_refused(tmp_path: Path) -> None:
     """A lone cell at the far end of a sheet."""
     book = openpyxl.Workbook()
