@@ -263,8 +263,8 @@ def known(species: Species) -> str:
 def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
     """Return all names of what can be changed, with the individuals and the field of each.
 
-    Individuals go by name, by kind (``predators``) and by role (``pursuers``); traits can be
-    changed where training animals differed in them.
+    Individuals go by name, by kind (``predators``) and by role (``pursuers``), and ``speed`` alone
+    is of all; traits can be changed where training animals differed in them.
     """
     groups: dict[str, tuple[str, ...]] = {name: (name,) for name in species.individuals}
     for name, role in zip(species.individuals, species.roles, strict=True):
@@ -288,7 +288,8 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
         numbers = {name for name in numbers if isinstance(getattr(species, name), float)}
         world = ["contact", "time_limit", PLUME, *AIR, *sorted(numbers)]
     world += [CONDITION] if species.conditions else []
-    return named | {START: (species.individuals, START)} | {what: ((), what) for what in world}
+    named |= {what: (species.individuals, what) for what in own}
+    return named | {what: ((), what) for what in world}
 
 
 def _place(value: str, unit: Unit, text: str) -> Floats | None:

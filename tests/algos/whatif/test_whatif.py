@@ -96,6 +96,7 @@ def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:
         (["arena=x1..x2/9", "contact=x1..x2/9"], "81 scenarios are asked for"),
         (["condition=moonlit"], "there is no 'moonlit': choose one of individual, shared"),
         (["prey.speed=x2", "all.thrust=x2"], "change the same thing: give one"),
+        (["prey.speed=x2", "speed=x3"], "change the same thing: give one"),
         (["add=predator"], "or train with num_pursuers one higher"),
         (["remove=wolf"], "choose one of predator_0, predator_1, prey"),
         (["remove=prey", "prey.thrust=x2"], "who is removed: leave one out"),
