@@ -46,7 +46,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
-from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.recipes.registry import DQN
 from animarl_envs.files import write_then_rename
 
@@ -100,7 +100,7 @@ def ours(task: str, seed: int) -> BaseAlgorithm:
     """DQN of this project with its section."""
     preset = learner_preset("dqn", task)
     env = make_vec_env(task, n_envs=preset.n_envs, seed=seed)
-    return DQN(env=env, seed=seed, device="cpu", **constructed(preset.arguments))
+    return DQN(env=env, seed=seed, device="cpu", settings=preset.settings)
 
 
 def sb3(task: str, seed: int) -> BaseAlgorithm:

@@ -28,7 +28,7 @@ from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.metrics import measure, measure_recordings
-from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
@@ -75,8 +75,8 @@ def main(
     seconds = 0.0
     for number in seeds:
         env = SlotVecEnv(spec, preset.n_envs, demos=demos, condition_flag=flagged)
-        arguments = constructed(preset.arguments)
-        model = named_recipe(algo).algorithm(env=env, seed=number, device="cpu", **arguments)
+        settings_ = preset.settings
+        model = named_recipe(algo).algorithm(env=env, seed=number, device="cpu", settings=settings_)
         model.set_logger(Logger(folder=None, output_formats=[]))
         start = time.process_time()
         model.learn(steps, progress_bar=True)

@@ -49,7 +49,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.pretraining import validation_figures
 from animarl_algos.recipes.registry import DQDIL, DQN, named_recipe
 from animarl_envs.scenario import make_scenario
@@ -187,7 +187,7 @@ def paper_run(steps: int) -> tuple[float, float, float]:
     """Seconds of the paper's whole run, of its evaluation, and steps per update in the stretch."""
     preset = learner_preset("dqdil", "AnimaRL/Agent-v0", "paper")
     env = SlotVecEnv("agent", preset.n_envs, **preset.env_kwargs)
-    model = DQDIL(env=env, seed=1, device="cpu", **constructed(preset.arguments))
+    model = DQDIL(env=env, seed=1, device="cpu", settings=preset.settings)
     model.learn(500)
     updates, start = model._n_updates, time.perf_counter()
     model.learn(steps, reset_num_timesteps=False)

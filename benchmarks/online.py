@@ -31,7 +31,7 @@ from animarl_algos.evaluation.realism import WEIGHTS, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import load_checkpoint, save_checkpoint
-from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
@@ -63,8 +63,7 @@ def learner(
         condition_flag=None,
         **preset.env_kwargs,
     )
-    arguments = constructed(preset.arguments)
-    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", **arguments)
+    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", settings=preset.settings)
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
 

@@ -29,7 +29,7 @@ from stable_baselines3.common.logger import Logger
 
 from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.presets import LearnerPreset, constructed, learner_preset
+from animarl_algos.learner.presets import LearnerPreset, learner_preset
 from animarl_algos.learner.pretraining import Figures
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
@@ -50,8 +50,8 @@ def offline_figures(
 ) -> Figures:
     """Validation figures of the epoch that is kept, and its number."""
     env = SlotVecEnv(species, 1, demos=demos, condition_flag=None, **preset.env_kwargs)
-    arguments = constructed(preset.arguments) | {"buffer_size": 2000}  # nothing is replayed
-    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", **arguments)
+    settings = preset.settings.changed(buffer_size=2000)  # nothing is replayed
+    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", settings=settings)
     model.set_logger(Logger(folder=None, output_formats=[]))
     progress = model.pretrain()
     return progress.history[progress.best_epoch - 1]

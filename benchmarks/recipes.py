@@ -33,7 +33,7 @@ from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import BoundaryCallback, CheckpointCallback
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
-from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
@@ -80,7 +80,7 @@ def make(species: str, algo: str, seed: int, copies: int | None = None) -> Seque
         **preset.env_kwargs,
     )
     env.seed(seed)
-    return named.algorithm(env=env, seed=seed, device="cpu", **constructed(preset.arguments))
+    return named.algorithm(env=env, seed=seed, device="cpu", settings=preset.settings)
 
 
 def weights(model: SequenceQLearning) -> torch.Tensor:

@@ -27,7 +27,6 @@ import torch
 
 from animarl_algos.benchmark.matrix import Plan, plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell
-from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_files import write_json
@@ -126,7 +125,7 @@ def rates(cells: Mapping[str, Cell], say: Callable[[str], None]) -> dict[str, di
 def few_steps(settings: RunSettings) -> tuple[int, int]:
     """Two sizes of a training, in whole rounds where it goes by rounds."""
     learner = settings.learner()
-    every, unit = constructed(learner.arguments)["train_freq"]
+    every, unit = learner.settings.train_freq
     one = 1 if unit == "episode" else every * learner.n_envs
     least = -(-STEPS // one) * one
     return least, 3 * least

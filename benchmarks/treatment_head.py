@@ -38,7 +38,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.pretraining import OfflineDataset
 from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.recipes.registry import DQCIL, DQDIL, named_recipe
@@ -161,8 +161,8 @@ def memories(
     """Per individual: hidden states ``(N, H)`` and conditions ``(N,)`` of all valid steps."""
     parts: list[list[tuple[torch.Tensor, torch.Tensor]]] = [[] for _ in model.layout.individuals]
     policy = model.policy
-    for batch in dataset.batches(model.offline_batch_size):
-        seen = minibatch_values(policy, batch, model.phase("offline"), needs_target=False)
+    for batch in dataset.batches(model.settings.offline_batch_size):
+        seen = minibatch_values(policy, batch, model.settings.phase("offline"), needs_target=False)
         hidden = seen.online.hidden[:, :-1]  # type: ignore[attr-defined]
         condition = seen.batch.condition.unsqueeze(1).expand(hidden.shape[:-1])
         for k, part in enumerate(parts):
@@ -176,8 +176,8 @@ def run_demonstrations(
     """A row of figures per individual."""
     preset = learner_preset(algo, environment_id(demos.species), "default", settings)
     env = SlotVecEnv(demos.species, 1, demos=demos, condition_flag=True)
-    arguments = constructed(preset.arguments) | {"buffer_size": 2000}
-    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", **arguments)
+    whole = preset.settings.changed(buffer_size=2000)
+    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", settings=whole)
     model.set_logger(Logger(folder=None, output_formats=[]))
     progress = model.pretrain()
     data = env.offline_data()

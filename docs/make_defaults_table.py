@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from animarl_algos.learner.presets import COMMON_SECTION
-from animarl_algos.learner.settings import LearnerSettings, OfflineSettings, default_settings
+from animarl_algos.learner.settings import LearnerSettings, OfflineSettings
 from animarl_algos.recipes.registry import RECIPES
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.settings import describe_fields
@@ -63,7 +63,7 @@ def table() -> str:
     rows = (
         f"| `{name}` | {shown(every['dqn', None][name])} | {exceptions(name, every)} "
         f"| {in_markdown(meanings[name])} |"
-        for name in default_settings()
+        for name in vars(LearnerSettings())
     )
     head = ["| setting | default | elsewhere | meaning |", "|---|---|---|---|"]
     return "\n".join([*head, *rows]) + "\n"

@@ -112,5 +112,5 @@ def evaluated(
     model: SequenceQLearning, batch: SequenceBatch, *, needs_target: bool = True
 ) -> MinibatchValues:
     """What the online loss terms of ``model`` see of a minibatch."""
-    phase = model.phase("online")
+    phase = model.settings.phase("online")
     return minibatch_values(model.policy, batch, phase, needs_target=needs_target)

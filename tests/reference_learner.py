@@ -85,8 +85,8 @@ class ReferenceLearner:
 
     def store(self, episode: Episode) -> None:
         """Trained parts lie end to end; those of warm-up steps alone are left out."""
-        length, most = len(episode.steps), self.model.sequence_length
-        stride = length if most is None else most - self.model.burn_in
+        length, most = len(episode.steps), self.model.settings.sequence_length
+        stride = length if most is None else most - self.model.settings.burn_in
         for begin in range(0, length, stride):
             end = min(begin + stride, length)
             if not all(episode.of("warmup")[begin:end]):
@@ -128,7 +128,7 @@ class ReferenceLearner:
             for t in (t for t in range(begin, end) if not warmup[t]):
                 now, reward = t - begin, returned[t]
                 if recipe in ("dqdil", "dqcil"):
-                    reward = rewards[t] - model.alpha * episode.of("penalties")[t]
+                    reward = rewards[t] - model.settings.alpha * episode.of("penalties")[t]
                 best = values[now + 1].mean(-1).argmax()
                 gamma = 0.0 if episode.of("terminated")[t] else model.gamma
                 target, value = reward + gamma * later[now + 1, best], values[now, actions[t]]
@@ -145,11 +145,11 @@ class ReferenceLearner:
                     treatment = treatment + weight * loss
             self.priorities[index] = 0.9 * max(errors) + 0.1 * float(np.mean(errors)) + FLOOR
         self.largest = max(self.largest, *(self.priorities[i] for i in indices))
-        loss = td / steps + model.lambda1 * sum(p.square().sum() for p in weights.values())
+        loss = td / steps + model.settings.lambda1 * sum(p.square().sum() for p in weights.values())
         if recipe == "dqaas":
-            loss = loss + model.lambda3 * supervision / max(labelled, 1)
+            loss = loss + model.settings.lambda3 * supervision / max(labelled, 1)
         if recipe == "dqcil":
-            loss = loss + model.lambda2 * treatment / steps
+            loss = loss + model.settings.lambda2 * treatment / steps
         gradients = torch.autograd.grad(loss, list(weights.values()))
         norm = torch.cat([g.flatten() for g in gradients]).norm().item()
         scale = min(1.0, model.max_grad_norm / (norm + 1e-6))
@@ -161,8 +161,8 @@ class ReferenceLearner:
         """Values and features at the observations from ``begin`` to ``end``, both included."""
         observations = episode.observations()
         previous = [self.net.num_actions, *episode.of("actions")]
-        prefix = max(0, begin - self.model.burn_in)
-        state = episode.states[prefix if self.model.state_mode == "stored" else 0]
+        prefix = max(0, begin - self.model.settings.burn_in)
+        state = episode.states[prefix if self.model.settings.state_mode == "stored" else 0]
         if prefix < begin:
             burnt = slice(prefix, begin)
             with torch.no_grad():

@@ -262,7 +262,7 @@ def _resolve(settings: RunSettings) -> dict[str, Any]:
     """Return a run's settings with everything that presets set, without where its file lies."""
     learner = settings.learner()
     own = {k: v for k, v in asdict(settings).items() if k not in ("file", "source", "config")}
-    return {"settings": own, "learner": learner.arguments, "environment": learner.env_kwargs}
+    return {"settings": own, "learner": asdict(learner.settings), "environment": learner.env_kwargs}
 
 
 def _hash_of(determining: Mapping[str, Any]) -> str:

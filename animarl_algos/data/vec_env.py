@@ -24,13 +24,14 @@ from stable_baselines3.common.vec_env import (
 
 from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
 from animarl_algos.losses.terms import Recipe
+from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario, refuse_other_species
-from animarl_envs.species import Species
+from animarl_envs.species import Species, get_species
 from animarl_envs.tasks import find_task
 from animarl_envs.views.common import (
     check_actions,
@@ -529,6 +530,67 @@ def feedback_of(
         shown = [name for name in names if name in infos[0]]
         found = {name: [info[name] for info in infos] for name in shown}
     return {name: np.asarray(found[name]).reshape(-1) for name in names if name in found}
+
+
+def longest_episode(env: Any, given: int | None) -> int | None:
+    """Return the time limit [steps]: as ``given``, or as the environment declares it.
+
+    Raises InputError if it declares none.
+    """
+    if given is not None or env is None:
+        return given
+    limit = declared_limit(env)
+    if limit is None:
+        raise InputError(
+            "the environment does not say how long an episode can last: give max_episode_steps, or "
+            "wrap it in gymnasium.wrappers.TimeLimit"
+        )
+    return limit
+
+
+def check_episodes_fit(env: VecEnv, given: int | None, held: int | None) -> None:
+    """Refuse an environment whose episodes may last longer than a replay memory holds [steps]."""
+    limit = given or declared_limit(env)
+    if limit is not None and held is not None and limit > held:
+        raise InputError(
+            f"its episodes last up to {limit} steps and the replay memory holds {held}: "
+            "give one with a shorter time limit"
+        )
+
+
+def declared_limit(env: VecEnv) -> int | None:
+    """Return the time limit [steps] that an environment tells of itself, if any.
+
+    That is ``max_episode_steps`` of the VecEnv or of its environments, ``time_limit`` of AnimaRL's,
+    or what the Gymnasium specs say; of several the longest.
+    """
+    # The last is that of Gymnasium's TimeLimit, around an environment without a spec.
+    for name in ("max_episode_steps", "time_limit", "_max_episode_steps"):
+        if name == "time_limit" and declared(env, "scenario") is None:
+            continue  # another package's, maybe in seconds
+        limit = getattr(env, name, None)
+        if limit is None and env.has_attr(name):
+            each = env.get_attr(name)
+            limit = None if None in each else max(each)
+        if limit is not None:
+            return int(limit)
+    limits = [spec.max_episode_steps for spec in env.get_attr("spec") if spec is not None]
+    return max(map(int, limits)) if limits and all(limits) else None
+
+
+def make_environment(env: str, demonstrations: Any) -> tuple[Any, Any]:
+    """Return an environment of AnimaRL by its id or name, with demonstrations put into it.
+
+    Other ids, and other demonstrations, are returned as they are.
+    """
+    env_id = environment_id(env)
+    if "AnimaRL/" not in env and (env in gym.registry or env_id not in gym.registry):
+        return env, demonstrations
+    if env_id not in gym.registry:
+        get_species(env)  # refuses it
+    if isinstance(demonstrations, Demonstrations):
+        return gym.make(env_id, demos=demonstrations), None
+    return gym.make(env_id), demonstrations
 
 
 class MixedMeansWarning(UserWarning):

@@ -3,31 +3,60 @@
 :class:`SequenceQLearning` turns an SB3 off-policy algorithm (DQN, or QRDQN of sb3-contrib) into a
 learner with a memory: K individuals, each with its own network, acting in the slots of a VecEnv and
 learning from whole episodes or pieces of them. It joins parts that know no learner:
-:mod:`.pretraining` (the offline phase) and :mod:`.updates` (when to learn, and how). What the loss
-is made of is the recipe's business (:mod:`animarl_algos.losses.terms`); how values are represented
-is the value distribution's.
+:mod:`.settings` (all numbers), :mod:`.pretraining` (the offline phase), :mod:`.updates` (when to
+learn, and how) and :mod:`.checkpoint`. The recipe says what the loss is made of
+(:mod:`animarl_algos.losses.terms`), the value distribution how values are represented.
 """
 
-from typing import Any, Self
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
+from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
+from stable_baselines3.common.base_class import maybe_make_env
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
-from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import (
+    GymEnv,
+    MaybeCallback,
+    RolloutReturn,
+    Schedule,
+    TrainFreq,
+)
 from stable_baselines3.common.utils import configure_logger, polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset, check_demonstrations
 from animarl_algos.data.vec_env import (
+    LABEL_OPTIONS,
+    SlotLayout,
     check_environment_supports,
+    check_episodes_fit,
+    check_observation,
     declared,
     declared_feedback,
+    demonstrations_in,
     feedback_of,
+    longest_episode,
+    make_environment,
+    refuse_other_actions,
+    refuse_other_slots,
 )
-from animarl_algos.learner.base import BaseLearner
-from animarl_algos.learner.callbacks import with_progress_bar
+from animarl_algos.learner import checkpoint
+from animarl_algos.learner.callbacks import BoundaryCallback, with_progress_bar
+from animarl_algos.learner.presets import (
+    check_settings,
+    learner_preset,
+    resolve_settings,
+    section_of,
+)
 from animarl_algos.learner.pretraining import (
     DemonstratedValues,
     OfflineProgress,
@@ -35,30 +64,320 @@ from animarl_algos.learner.pretraining import (
     demonstrated_values,
     fit_boltzmann_temperature,
 )
-from animarl_algos.learner.updates import minibatch_values, update
+from animarl_algos.learner.settings import (
+    POLICIES,
+    LearnerSettings,
+    as_frequency,
+    check_setting_combinations,
+    document_parameters,
+    policy_name,
+    take_settings,
+    translate_policy_kwargs,
+)
+from animarl_algos.learner.transitions import Step, store_step
+from animarl_algos.learner.updates import (
+    UpdateSchedule,
+    minibatch_values,
+    standardise_inputs,
+    update,
+)
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.acting_rule import Acting, Kind
-from animarl_algos.networks.policies import State, zero_value_stream
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.policies import GruPolicy, PolicySettings, State, zero_value_stream
+from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.settings import Seed, check_value
 
+EXCLUDED_FROM_ZIP = (
+    *("demonstrations", "boundary_hooks", "memory", "treatment_counts"),
+    *("_last_obs", "_last_episode_starts", "_last_original_obs"),
+)
+"""Attributes that a loaded learner makes anew, beside those that stable-baselines3 leaves out."""
+LOAD_ARGUMENTS = {"verbose", "tensorboard_log", "seed", "demonstrations"} | set(
+    inspect.signature(OffPolicyAlgorithm.load).parameters
+)
+"""Arguments of ``load`` beside settings."""
 STEP_VARIABLES = ("actions", "new_obs", "rewards", "dones", "infos")
 """Variables of a step, one entry for each slot, that callbacks of stable-baselines3 read."""
-FARTHEST = 1000.0
-"""Inputs standardised by random steps are clipped at so many sd: learnt behaviour goes farther."""
 
 
-class SequenceQLearning(BaseLearner):
+class SequenceQLearning(OffPolicyAlgorithm):
     """Sequence Q-learning for K independent individuals; see the recipes for what is minimised.
 
     Steps are steps of the world: one step of all slots of a copy counts once.
+
+    Parameters
+    ----------
+    policy
+        ``"GruPolicy"`` (with a memory) or ``"MlpPolicy"``.
+    env
+        Any Gymnasium environment with Discrete actions, its id, or a VecEnv. An id stands for
+        ``gym.make(id)``, in which one individual acts; ``"newt"`` is short for
+        ``"AnimaRL/Newt-v0"``. A VecEnv with the attributes ``individuals`` and ``num_copies``, such
+        as ``SlotVecEnv("newt")``, trains all individuals.
+    learning_rate
+        Of Adam, a number or a schedule of the remaining progress.
+    demonstrations
+        :class:`~animarl_envs.demos.demonstrations.Demonstrations`, or an object with ``train``
+        and ``val`` datasets; by default the environment's own, if it has any.
+    settings
+        All settings at once (:class:`.settings.LearnerSettings`); nothing is then taken from
+        presets.
+    seed, device, verbose, tensorboard_log
+        As in stable-baselines3.
+    given
+        Single settings, by name. Those that are not given are preset ``default``'s in
+        ``zoo_configs``, as on the command line: of the species of ``env`` where it is one of the
+        package's, else what is common to all; with ``offline_epochs`` above 0 that of the recipe's
+        ``-pt`` name. ``default_settings(env)`` returns the numbers.
+
+    Attributes
+    ----------
+    settings
+        The settings in use, frozen. Those that stable-baselines3 has are its attributes, too.
+
+    Raises InputError if a setting, the environment or the demonstrations do not suit the recipe.
     """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = dict(POLICIES)
+    recipe: ClassVar[Recipe]
+    quantiles: ClassVar[bool]
+    """Whether values are quantiles of the return."""
+    preset: ClassVar[str]
+    """Name of the file in ``zoo_configs`` whose preset ``default`` completes the settings."""
+    pretrained_preset: ClassVar[str | None] = None
+    """The same with ``offline_epochs``, where it is another."""
+
+    settings: LearnerSettings
+    layout: SlotLayout
+    policy: GruPolicy
+    policy_class: type[GruPolicy]
+    replay_buffer: SequenceReplayBuffer | None  # type: ignore[assignment]
+    memory: State
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """Add all parameters to the documentation of a recipe, for ``help``."""
+        super().__init_subclass__(**keywords)
+        cls.__doc__ = document_parameters(cls.__dict__.get("__doc__"), SequenceQLearning.__doc__)
+
+    @classmethod
+    def default_settings(
+        cls, env: GymEnv | str | None = None, *, pretrained: bool = False
+    ) -> dict[str, Any]:
+        """Return what a learner in ``env`` takes by default, ``pretrained`` by its ``-pt`` name."""
+        name = cls.pretrained_preset if pretrained and cls.pretrained_preset else cls.preset
+        return vars(resolve_settings(name, None, env, {}))
+
+    def __init__(
+        self,
+        policy: str | type[GruPolicy] | None = None,
+        env: GymEnv | str | None = None,
+        learning_rate: float | Schedule | None = None,
+        *,
+        demonstrations: Any = None,
+        settings: LearnerSettings | None = None,
+        tensorboard_log: str | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: torch.device | str = "auto",
+        _init_setup_model: bool = True,
+        **given: Any,
+    ) -> None:
+        if env is None and _init_setup_model:
+            raise InputError("there is no environment to learn in: give env=")
+        if isinstance(env, str):
+            env, demonstrations = make_environment(env, demonstrations)
+        named = {"policy": policy_name(policy), "learning_rate": learning_rate}
+        given |= {name: value for name, value in named.items() if value is not None}
+        if given.get("offline_epochs", 0) is None:
+            del given["offline_epochs"]
+        if isinstance(own := given.get("policy_kwargs"), dict):
+            given["policy_kwargs"] = translate_policy_kwargs(own)
+        if settings is None:
+            settings = resolve_settings(self.preset, self.pretrained_preset, env, given)
+        elif given:
+            settings = settings.changed(**check_settings(given))
+        made = None if env is None else maybe_make_env(env, verbose)
+        if made is not None:
+            check_observation(made.observation_space)
+        species = getattr(getattr(env, "scenario", None), "species", None)
+        if getattr(species, "is_group", False):  # animals that are alike, with recordings or not
+            settings = settings.changed(policy_kwargs={"shared": True} | settings.policy_kwargs)
+        try:
+            super().__init__(
+                policy if isinstance(policy, type) else settings.policy,
+                made,  # type: ignore[arg-type]
+                **settings.sb3_arguments(),
+                tensorboard_log=tensorboard_log,
+                verbose=verbose,
+                seed=seed,
+                device=device,
+                _init_setup_model=False,
+            )  # type: ignore[call-arg]
+        except AssertionError as error:
+            raise InputError(f"the environment does not suit these learners: {error}") from error
+        self.policy_kwargs = dict(settings.policy_kwargs)  # sb3-contrib adds an optimiser
+        self.settings = settings
+        self.demonstrations = demonstrations
+        self.exploration_rate = settings.exploration_initial_eps
+        self.offline_progress = OfflineProgress()
+        self.schedule = UpdateSchedule()
+        self.acting_rule: Acting | None = None
+        self.saved_by = self._kind()
+        if _init_setup_model:
+            recurrent = self.policy_class.recurrent
+            check_setting_combinations(settings, self.recipe, recurrent, self.quantiles)
+            self._setup_model()
+            assert self.env is not None
+            check_environment_supports(self.recipe, self.env, self.layout, settings.alpha)
+            if isinstance(demonstrations, Demonstrations):
+                self.demonstrations = self._as_data(demonstrations)
+            if demonstrations is not None:
+                self.check_learnable()
+            elif settings.offline_epochs:  # there, though not looked at yet
+                self.demonstration_data()
+
+    @classmethod
+    def _kind(cls) -> dict[str, Any]:
+        """Return what a zip file says of the learner that it is of."""
+        return {"name": cls.__name__, "recipe": cls.recipe.name, "quantiles": cls.quantiles}
+
+    def _as_data(self, demos: Demonstrations) -> Any:
+        """Return demonstrations in the terms of the environment, labelled as the preset says."""
+        assert self.env is not None
+        name = self.pretrained_preset if self.recipe.online else self.preset
+        options = learner_preset(name or self.preset, section_of(self.env)).env_kwargs
+        labels = {key: value for key, value in options.items() if key in LABEL_OPTIONS}
+        return demonstrations_in(self.env, demos, self.layout, **labels)
+
+    # -- set up -----------------------------------------------------------------------------------
+
+    def _setup_model(self) -> None:
+        self.settings = take_settings(vars(self), self.settings)
+        self.train_freq = as_frequency(self.train_freq)  # type: ignore[assignment]
+        if self.seed is not None:
+            self.seed = check_value("seed", self.seed, Seed)
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        if self.env is not None:
+            layout = SlotLayout.of(self.env)
+            if (learned := vars(self).get("layout")) is not None:  # a file's
+                refuse_other_slots(layout, learned)
+            self.layout = layout
+            self.episode_limit = longest_episode(self.env, self.settings.max_episode_steps)
+        self.target_update = as_frequency(self.settings.target_update_interval)
+        drawn = np.random.SeedSequence().generate_state(1)[0] if self.seed is None else self.seed
+        self.root_seed = int(drawn)
+        self.observation_size = int(np.prod(self.observation_space.shape or ()))
+        self.policy = self._make_policy()
+        if self.env is not None:
+            self.replay_buffer = self._make_replay_buffer()
+        self.boundary_hooks: list[BoundaryCallback] = []
+
+    def _make_policy(self) -> GruPolicy:
+        return self.policy_class(
+            self.observation_space,
+            self.action_space,
+            self.lr_schedule,
+            individuals=self.layout.individuals,
+            condition_flag=self.layout.condition_flag,
+            treatment_head=self.recipe.needs_condition and self.layout.condition_flag,
+            acting=self.acting_rule or Acting.epsilon_greedy(self.exploration_rate),
+            seed=self.root_seed,
+            **PolicySettings.check(self.policy_kwargs, "policy_kwargs: "),
+        ).to(self.device)
+
+    def _make_replay_buffer(self) -> SequenceReplayBuffer:
+        assert self.episode_limit is not None
+        # One that never acts keeps nothing: of many animals the memory would be huge.
+        rows = self.buffer_size
+        if not self.recipe.online:
+            rows = min(rows, self.episode_limit + 1)
+        return SequenceReplayBuffer(
+            rows,
+            self.observation_size,
+            self.layout.num_individuals,
+            self.policy.num_actions,
+            self.episode_limit,
+            self.layout.num_copies,
+            sequence_length=self.settings.sequence_length,
+            burn_in=self.settings.burn_in,
+            state_mode=self.settings.state_mode,
+            state_size=self.q_net.units,
+            prioritized=self.settings.prioritized,
+            seed=self.root_seed,
+            names=self.layout.individuals,
+            device=self.device,
+            **ReplaySettings.check(self.replay_buffer_kwargs, "replay_buffer_kwargs: "),
+        )
+
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """Seed torch, NumPy, the environment and the acting draws."""
+        super().set_random_seed(seed)
+        if seed is not None and "policy" in vars(self):  # later than the first call
+            self.policy.seed(seed)
+
+    @property
+    def q_net(self) -> StackedQNetwork:
+        """The policy's network, under stable-baselines3's name for it."""
+        return self.policy.q_net
+
+    @property
+    def q_net_target(self) -> StackedQNetwork:
+        """Its target network."""
+        return self.policy.q_net_target
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        """Learn in ``env`` from now on, which must suit the networks and the replay memory.
+
+        A learner that was loaded without an environment gets its replay memory here, for as many
+        copies as ``env`` has.
+
+        Raises InputError if the individuals, what they observe, the spaces or the number of copies
+        differ, or if episodes may last longer than the replay memory holds, or nobody says how
+        long.
+        """
+        slots = self._wrap_env(env, self.verbose)
+        layout = SlotLayout.of(slots)
+        refuse_other_slots(layout, self.layout)
+        if isinstance(slots.action_space, Discrete):
+            refuse_other_actions(self.policy.num_actions, int(slots.action_space.n))
+        new, copies = self.replay_buffer is None, self.n_envs
+        if new:
+            self.n_envs = slots.num_envs
+        elif self.recipe.online:
+            check_episodes_fit(slots, self.settings.max_episode_steps, self.episode_limit)
+        try:
+            super().set_env(slots, force_reset)
+        except (AssertionError, ValueError) as error:
+            self.n_envs = copies
+            raise InputError(f"the environment does not suit this learner: {error}") from error
+        if new:
+            self.layout = layout
+            self.episode_limit = longest_episode(slots, self.settings.max_episode_steps)
+            self.replay_buffer = self._make_replay_buffer()
+
+    # -- act --------------------------------------------------------------------------------------
+
+    def predict(self, *observation: Any, **memory: Any) -> tuple[NDArray[Any], State]:  # type: ignore[override]
+        """Return actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
+        return self.policy.predict(*observation, **memory)
+
+    def remember(self, state: State, executed: NDArray[np.integer]) -> State:
+        """Do as :meth:`GruPolicy.remember`."""
+        return self.policy.remember(state, executed)
+
+    def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
+        """Do as :meth:`GruPolicy.leave_out`."""
+        return self.policy.leave_out(state, over)
 
     @property
     def offline_recipe(self) -> Recipe:
         """The recipe whose offline terms are minimised; see ``offline_loss``."""
-        return self.recipe.cloning() if self.offline_loss == "cloning" else self.recipe
+        return self.recipe.cloning() if self.settings.offline_loss == "cloning" else self.recipe
 
     def demonstration_data(self) -> Any:
         """Return the demonstrations that were given, or else the environment's own."""
@@ -79,8 +398,8 @@ class SequenceQLearning(BaseLearner):
     def check_learnable(self) -> None:
         """Check the environment and the demonstrations as :meth:`learn` does before it begins."""
         assert self.env is not None
-        check_environment_supports(self.recipe, self.env, self.layout, self.alpha)
-        if self.offline_epochs > 0 and not self.offline_progress.done:
+        check_environment_supports(self.recipe, self.env, self.layout, self.settings.alpha)
+        if self.settings.offline_epochs > 0 and not self.offline_progress.done:
             data = self.demonstration_data()
             check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
 
@@ -107,7 +426,7 @@ class SequenceQLearning(BaseLearner):
             total_timesteps, callback, reset_num_timesteps, name, progress_bar
         )
         try:
-            if self.offline_epochs:
+            if self.settings.offline_epochs:
                 self.pretrain(progress_bar=progress_bar)
             if self.recipe.online:
                 callback.on_training_start(locals(), globals())
@@ -127,7 +446,7 @@ class SequenceQLearning(BaseLearner):
 
         Raises InputError if there are no ``offline_epochs``, or the demonstrations do not suit.
         """
-        if not self.offline_epochs:
+        if not self.settings.offline_epochs:
             raise InputError("there is nothing to pretrain: give offline_epochs")
         if self.offline_progress.done:
             return self.offline_progress
@@ -136,31 +455,22 @@ class SequenceQLearning(BaseLearner):
         data, policy = self.demonstration_data(), self.policy
         check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
         self.offline_phase().run(data, self.logger, self.at_boundary, progress_bar=progress_bar)
-        if self.offline_loss == "cloning":
+        if self.settings.offline_loss == "cloning":
             zero_value_stream(policy.q_net)
             zero_value_stream(policy.q_net_target)
         policy.reset_optimizer(self.lr_schedule(1.0))
-        if self.exploration == "boltzmann":
+        if self.settings.exploration == "boltzmann":
             policy.acting = Acting.boltzmann(self.fit_temperature(data.val))
         return self.offline_progress
 
     def offline_phase(self) -> Pretraining:
         """Return the offline phase, as far as it has come."""
         return Pretraining(
-            self.policy,
-            self.offline_recipe,
-            self.phase("offline"),
-            self.offline_settings,
-            epochs=self.offline_epochs,
-            learning_rate=self.offline_learning_rate,
-            batch_size=self.offline_batch_size,
-            patience=self.offline_patience,
-            seed=self.root_seed,
-            progress=self.offline_progress,
+            self.policy, self.offline_recipe, self.settings, self.root_seed, self.offline_progress
         )
 
     def at_boundary(self) -> None:
-        """Between updates: let the hooks (checkpoints) look at a state that is whole."""
+        """Let the hooks (checkpoints) look at a whole state, between updates."""
         for hook in self.boundary_hooks:
             hook.at_boundary()
 
@@ -182,7 +492,7 @@ class SequenceQLearning(BaseLearner):
         )
         self._last_obs = np.array(self._last_obs)
         self.feedback_names = declared_feedback(self.env)
-        self.treatments_told: Any = 0  # apart, since the last log
+        self.treatment_counts: Any = 0  # apart, since the last log
         self._set_exploration()
         return total_timesteps, callback
 
@@ -237,7 +547,10 @@ class SequenceQLearning(BaseLearner):
             new_obs, rewards, dones, infos = env.step(actions)
             new_obs = np.array(new_obs)  # an environment may overwrite its own
             feedback = {"executed": actions} | feedback_of(env, self.feedback_names, infos)
-            self._store_step(replay_buffer, new_obs, rewards, dones, infos, feedback)
+            step = Step(new_obs, rewards, dones, infos, feedback)
+            before: Any = self._last_obs
+            alpha = self.settings.alpha
+            store_step(replay_buffer, step, before, self.memory, self.layout, self.recipe, alpha)
             previous = feedback["executed"].astype(np.int64)
             # Episodes that begin have no memory and no previous action.
             hidden[dones], previous[dones] = 0.0, self.policy.num_actions
@@ -285,78 +598,6 @@ class SequenceQLearning(BaseLearner):
         finally:
             self.policy.acting = rule
 
-    def _store_step(
-        self,
-        replay_buffer: SequenceReplayBuffer,
-        new_obs: NDArray[Any],
-        rewards: NDArray[Any],
-        dones: NDArray[np.bool_],
-        infos: list[dict[str, Any]],
-        feedback: dict[str, NDArray[Any]],
-    ) -> None:
-        """Store the step from the last observation, with the memory before it."""
-        successors = new_obs.copy()  # where a slot is done, ``new_obs`` is the next episode's first
-        for s in np.flatnonzero(dones):
-            successors[s] = infos[s]["terminal_observation"]
-        layout, recipe = self.layout, self.recipe
-
-        def by_copy(values: Any) -> Any:
-            """(S, ...) as (copies, K, ...), if there are any."""
-            shape = (layout.num_copies, layout.num_individuals, *np.shape(values)[1:])
-            return None if values is None else np.reshape(values, shape)
-
-        for name, needed in (
-            ("dtw_penalty", recipe.needs_distance),
-            ("aligned_action", recipe.needs_alignment),
-        ):
-            if needed and name not in feedback:
-                raise InputError(f"the environment declares {name!r} and gave none with a step")
-        done = by_copy(dones)[:, 0]
-        if not (by_copy(dones) == done[:, None]).all():
-            raise InputError(
-                "the individuals of a copy ended at different steps: an episode must end for all "
-                "of its slots together"
-            )
-        timed_out = by_copy([info.get("TimeLimit.truncated", False) for info in infos])
-        truncated = done & timed_out[:, 0].astype(bool)
-        seen = by_copy(np.asarray(self._last_obs).reshape(len(dones), -1))
-        warmup, condition = (by_copy(feedback.get(name)) for name in ("warmup", "condition"))
-        if condition is None and layout.condition_flag:
-            condition = seen[..., -1]
-        replay_buffer.add(
-            observations=seen,
-            actions=by_copy(feedback["executed"]),
-            rewards=by_copy(self._learned_rewards(rewards, feedback)),
-            next_observations=by_copy(successors.reshape(len(dones), -1)),
-            terminated=done & ~truncated,
-            truncated=truncated,
-            penalties=by_copy(feedback.get("dtw_penalty")),
-            labels=by_copy(feedback.get("aligned_action")),
-            warmup=None if warmup is None else warmup[:, 0],
-            hidden=by_copy(self.memory[0]),
-            condition=None if condition is None else condition[:, 0],
-        )
-
-    def _learned_rewards(
-        self, rewards: NDArray[Any], feedback: dict[str, NDArray[Any]]
-    ) -> NDArray[Any]:
-        """Return the rewards of a step, or the task's, if the recipe weighs the distance itself.
-
-        Of the latter what is taken back after the recording's end is gone.
-        """
-        if not self.recipe.needs_distance or "task_reward" not in feedback:
-            return rewards
-        lasting = feedback["task_reward"]
-        task = lasting - feedback.get("dtw_refund", 0.0)
-        shaped = [task - weight * feedback["dtw_penalty"] for weight in (1.0, self.alpha)]
-        if not any(np.allclose(rewards, each, atol=1e-4) for each in (lasting, *shaped)):
-            raise InputError(
-                "the reward of a step is neither the task's nor that less the distance: a wrapper "
-                f"changed it, and recipe {self.recipe.name} would not learn from that: leave the "
-                "wrapper out, or change the reward within the environment"
-            )
-        return task
-
     def _count(self, steps: int, episodes: int) -> None:
         """Count world steps and episodes that have just passed; do what depends on their number."""
         self.num_timesteps += steps
@@ -370,11 +611,11 @@ class SequenceQLearning(BaseLearner):
 
     def _set_exploration(self) -> None:
         """Set epsilon as it is due after the steps done; a policy that samples has none."""
-        steps, share = self.exploration_steps, self.exploration_fraction
+        steps, share = self.settings.exploration_steps, self.settings.exploration_fraction
         if share is not None:
             steps = round(share * self._total_timesteps)
         passed = min(self.num_timesteps / steps, 1.0) if steps else 1.0
-        first, last = self.exploration_initial_eps, self.exploration_final_eps
+        first, last = self.settings.exploration_initial_eps, self.settings.exploration_final_eps
         self.exploration_rate = first + passed * (last - first)
         if self.policy.acting.kind is not Kind.BOLTZMANN:
             self.policy.acting = Acting.epsilon_greedy(self.exploration_rate)
@@ -389,34 +630,24 @@ class SequenceQLearning(BaseLearner):
             frequency,
             copies=self.layout.num_copies,
             gradient_steps=self.gradient_steps,
-            updates_per_episode=self.updates_per_episode,
+            updates_per_episode=self.settings.updates_per_episode,
         )
         if self.num_timesteps < self.learning_starts or buffer.num_sequences == 0:
             schedule.updates_due = 0.0
         elif updates:
-            if self.standardise_inputs:
-                self._standardise(buffer)
+            if self.settings.standardise_inputs:
+                standardise_inputs(self.policy, buffer, done=self.offline_progress.done)
             self.train(updates, self.batch_size)
-
-    def _standardise(self, buffer: SequenceReplayBuffer) -> None:
-        """Standardise the networks' inputs by what the memory holds now, once for all.
-
-        What was standardised before, in the offline phase too, stays, and so do the inputs that a
-        network has learned from in an offline phase as they were.
-        """
-        done = torch.isfinite(self.q_net.input_limit).all()
-        if self.offline_progress.done or done:
-            return
-        mean, sd = (torch.from_numpy(each).to(self.device) for each in buffer.moments())
-        for network in (self.q_net, self.q_net_target):
-            network.standardise_inputs(mean, sd, limit=FARTHEST)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Make ``gradient_steps`` updates on sequences from the replay memory."""
         buffer, policy, terms = self._require_buffer(), self.policy, self.recipe.online
         self._update_learning_rate(policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
-        phase, needs_target = self.phase("online"), any(term.needs_target for term in terms)
+        phase, needs_target = (
+            self.settings.phase("online"),
+            any(term.needs_target for term in terms),
+        )
         for _ in range(gradient_steps):
             batch = buffer.sample(batch_size, progress)
             minibatch = minibatch_values(policy, batch, phase, needs_target=needs_target)
@@ -427,7 +658,7 @@ class SequenceQLearning(BaseLearner):
                 buffer.update_priorities(batch.indices, priorities)
             if (logits := minibatch.treatment_logits) is not None:
                 counts = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
-                self.treatments_told = self.treatments_told + counts
+                self.treatment_counts = self.treatment_counts + counts
             for name, loss in losses.items():
                 for individual, value in zip(self.layout.individuals, loss.tolist()):
                     self.logger.record_mean(f"train/{name}/{individual}", value)
@@ -437,11 +668,11 @@ class SequenceQLearning(BaseLearner):
         """Log SB3's own figures, epsilon and the memory's size beside the mean losses."""
         record, buffer = self.logger.record, self._require_buffer()
         record("train/n_updates", self._n_updates, exclude="tensorboard")
-        if isinstance(self.treatments_told, torch.Tensor):
-            accuracy = mean_recall(self.treatments_told).tolist()
+        if isinstance(self.treatment_counts, torch.Tensor):
+            accuracy = mean_recall(self.treatment_counts).tolist()
             for individual, value in zip(self.layout.individuals, accuracy):
                 record(f"train/treatment_balanced_accuracy/{individual}", value)
-            self.treatments_told = 0
+            self.treatment_counts = 0
         record("rollout/exploration_rate", self.exploration_rate)
         record("rollout/buffer_episodes", buffer.num_episodes)
         record("rollout/buffer_steps", buffer.num_steps)
@@ -449,14 +680,71 @@ class SequenceQLearning(BaseLearner):
 
     def demonstrated_values(self, dataset: OfflineDataset) -> DemonstratedValues:
         """Return the action values along demonstrated episodes."""
-        phase = self.phase("offline")
-        return demonstrated_values(self.policy, phase, dataset, self.offline_batch_size)
+        phase = self.settings.phase("offline")
+        return demonstrated_values(self.policy, phase, dataset, self.settings.offline_batch_size)
 
     def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
         """Return Boltzmann temperatures ``(K,)`` of maximum likelihood for demonstrated actions.
 
         To act by them: ``model.policy.acting = Acting.boltzmann(model.fit_temperature(data.val))``.
         """
-        shown = self.demonstrated_values(dataset)
-        fitted = [fit_boltzmann_temperature(v, a) for v, a in zip(shown.values, shown.actions)]
+        along = self.demonstrated_values(dataset)
+        fitted = [fit_boltzmann_temperature(v, a) for v, a in zip(along.values, along.actions)]
         return np.array(fitted)
+
+    # -- save -------------------------------------------------------------------------------------
+
+    def save(
+        self,
+        path: checkpoint.Place,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """Write all settings, the networks and the acting rule, as in stable-baselines3."""
+        self.acting_rule = self.policy.acting
+        with checkpoint.whole_file(path, ".zip") as file:
+            super().save(file, exclude, include)
+
+    @classmethod
+    def load(cls, path: checkpoint.Place, *arguments: Any, **keywords: Any) -> Self:  # type: ignore[override]
+        """Return a learner from :meth:`save`; arguments as in stable-baselines3.
+
+        The file holds pickles, which can run code: load only your own.
+
+        Raises InputError if another class saved it, ``env`` has other individuals or shows other
+        things, or a setting given anew is unknown, out of its range, or does not go with the
+        others.
+        """
+        given = {name: value for name, value in keywords.items() if name not in LOAD_ARGUMENTS}
+        keywords |= check_settings(given)
+        with checkpoint.loading(path, cls._kind()):
+            model = super().load(path, *arguments, **keywords)
+        if given:
+            recurrent = model.policy_class.recurrent
+            check_setting_combinations(model.settings, cls.recipe, recurrent, cls.quantiles)
+        return model
+
+    def save_replay_buffer(self, path: checkpoint.Place) -> None:
+        """Write the replay memory as an ``npz`` archive, whatever the name of ``path``."""
+        checkpoint.save_replay(self._require_buffer(), path)
+
+    def load_replay_buffer(self, path: checkpoint.Place, truncate_last_traj: bool = True) -> None:
+        """Read the finished episodes of :meth:`save_replay_buffer`; training begins new ones.
+
+        Raises InputError if it is none, or was saved with other settings.
+        """
+        buffer = self._require_buffer()
+        checkpoint.load_replay(buffer, path)
+        buffer.allocate_staging(self.layout.num_copies)
+        self._last_obs = None
+
+    def _require_buffer(self) -> SequenceReplayBuffer:
+        if self.replay_buffer is None:
+            raise InputError("there is no replay memory: give env=, or call set_env first")
+        return self.replay_buffer
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), *EXCLUDED_FROM_ZIP]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []

@@ -19,6 +19,7 @@ import os
 import random
 import textwrap
 import zipfile
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +30,10 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.save_util import open_path
 
+from animarl_algos.data.vec_env import is_observed_as_declared
+from animarl_algos.learner.pretraining import OfflineProgress
+from animarl_algos.learner.updates import UpdateSchedule
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_regular, refuse_special, write_then_rename
@@ -41,6 +46,11 @@ State = tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]
 """All that a learner needs to go on exactly, but its replay memory: counters (JSON-like), arrays
 (the environment's state and the running episodes'), tensors (the weights)."""
 Place = str | Path | io.BufferedIOBase
+DAMAGE = (
+    *(OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError, AttributeError),
+    *(OverflowError, zipfile.BadZipFile),
+)
+"""Errors that reading a damaged archive raises."""
 SAVED_BY = "saved_by"
 """Under this name a zip file says which class, recipe and kind of values it is of."""
 
@@ -62,12 +72,12 @@ def save_checkpoint(model: Any, folder: str | Path) -> Path:
 
     Raises InputError if it cannot be written; what was there before is untouched.
     """
-    counters, arrays, tensors = model.training_state()
+    counters, arrays, tensors = _training_state(model)
     tensors = tensors | {"torch_random_state": torch.get_rng_state()}
     generator, keys, *rest = np.random.get_state()  # noqa: NPY002
     state = {
         "format": FORMAT,
-        "identity": model.identity(),
+        "identity": _identity(model),
         "counters": counters,
         "numpy_random_state": [generator, np.asarray(keys).tolist(), *rest],
         "python_random_state": random.getstate(),
@@ -131,7 +141,7 @@ def load_checkpoint(model: Any, folder: str | Path) -> None:
     """
     path = _checkpoint_of(folder)
     with _opened_checkpoint(path) as (state, archive):
-        mine = json.loads(json.dumps(model.identity()))
+        mine = json.loads(json.dumps(_identity(model)))
         for key, value in mine.items():
             if (stored := state["identity"].get(key)) != value:
                 raise InputError(
@@ -146,12 +156,103 @@ def load_checkpoint(model: Any, folder: str | Path) -> None:
         if model.replay_buffer is not None:
             model.replay_buffer.restore(replay)
         torch_random_state = tensors.pop("torch_random_state")
-        model.restore_training_state((state["counters"], arrays, tensors))
+        _restore_training_state(model, (state["counters"], arrays, tensors))
         torch.set_rng_state(torch_random_state)
         name, keys, *rest = state["numpy_random_state"]
         np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002
         version, words, gauss = state["python_random_state"]
         random.setstate((version, tuple(words), gauss))
+
+
+def _identity(model: Any) -> dict[str, Any]:
+    """Return what a checkpoint must agree with, JSON-like."""
+    return {
+        "algorithm": type(model).__name__,
+        "policy": model.policy_class.__name__,
+        "individuals": list(model.layout.individuals),
+        "num_copies": model.layout.num_copies,
+        "observation_size": model.observation_size,
+        "num_actions": model.policy.num_actions,
+        "parameters": model.q_net.num_parameters,
+        "buffer_size": model.buffer_size,
+    }
+
+
+COUNTERS = (
+    "num_timesteps",
+    "_total_timesteps",
+    "_episode_num",
+    "_n_updates",
+    "_current_progress_remaining",
+    "exploration_rate",
+    "root_seed",
+)
+"""Attributes of a learner that a checkpoint holds as they are."""
+
+
+def _training_state(model: Any) -> State:
+    """Return all that is needed to go on exactly, but the replay memory."""
+    policy, progress = model.policy, model.offline_progress
+    counters = {name: getattr(model, name) for name in COUNTERS} | {
+        "schedule": vars(model.schedule),
+        "offline_progress": progress.to_json(),
+        "policy_random_state": policy.random_state,
+        "acting": policy.acting.to_json(),
+        "late_episodes": [
+            {key: float(value) for key, value in info.items()}
+            for info in model.ep_info_buffer or ()
+        ],
+    }
+    arrays: dict[str, NDArray[Any]] = {}
+    env: Any = model.env
+    whole = hasattr(env, "get_state") and is_observed_as_declared(env, "get_state")
+    if whole and model._last_obs is not None:
+        arrays = {f"env/{key}": value for key, value in env.get_state().items()}
+        arrays["last_observation"] = np.asarray(model._last_obs)
+        arrays["episode_starts"] = np.asarray(model._last_episode_starts)
+        arrays["hidden"], arrays["previous_action"] = model.memory
+    tensors = {
+        "q_net": policy.q_net.state_dict(),
+        "q_net_target": policy.q_net_target.state_dict(),
+        "optimizer": policy.optimizer.state_dict(),
+        "best_weights": progress.best_weights,
+        "average_weights": progress.average_weights,
+    }
+    return counters, arrays, tensors
+
+
+def _restore_training_state(model: Any, state: State) -> None:
+    """Go on from a state.
+
+    An environment without ``get_state`` and ``set_state``, or in a wrapper that changes its
+    observations, starts new episodes instead of continuing those that were running.
+    """
+    counters, arrays, tensors = state
+    policy, average = model.policy, tensors["average_weights"]
+    if average is not None:  # follows the networks, where they are
+        average = {name: value.to(model.device) for name, value in average.items()}
+    for name in COUNTERS:
+        setattr(model, name, counters[name])
+    model.schedule = UpdateSchedule(**counters["schedule"])
+    model.offline_progress = OfflineProgress(
+        **counters["offline_progress"],
+        best_weights=tensors["best_weights"],
+        average_weights=average,
+    )
+    policy.random_state = counters["policy_random_state"]
+    policy.acting = Acting.from_json(counters["acting"])
+    model.ep_info_buffer = deque(counters["late_episodes"], maxlen=model._stats_window_size)
+    model.ep_success_buffer = deque(maxlen=model._stats_window_size)
+    policy.q_net.load_state_dict(tensors["q_net"])
+    policy.q_net_target.load_state_dict(tensors["q_net_target"])
+    policy.optimizer.load_state_dict(tensors["optimizer"])
+    model._last_obs = None
+    if "last_observation" in arrays:
+        env_state = {key[4:]: value for key, value in arrays.items() if key[:4] == "env/"}
+        model.env.set_state(env_state)
+        model._last_obs = arrays["last_observation"]
+        model._last_episode_starts = arrays["episode_starts"]
+        model.memory = (arrays["hidden"], arrays["previous_action"])
 
 
 def _checkpoint_of(folder: str | Path) -> Path:
@@ -177,11 +278,8 @@ def _opened_checkpoint(path: Path) -> Iterator[tuple[dict[str, Any], Mapping[str
     except InputError:
         raise
     except PermissionError as error:
-        raise InputError(f"{error.filename}: it cannot be read: see to its permissions") from error
-    except (
-        OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile,
-        AttributeError, OverflowError,
-    ) as error:  # fmt: skip
+        raise InputError(f"{error.filename}: it cannot be read: check its permissions") from error
+    except DAMAGE as error:
         raise InputError(
             f"{path}: the checkpoint is damaged ({summarise_error(error)}): "
             "put a copy of this file in its place, or remove it and start the run anew"

@@ -19,12 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from animarl_algos.data.vec_env import declared
-from animarl_algos.learner.settings import (
-    RUN_KEYS,
-    LearnerFile,
-    default_settings,
-    linear_schedule,
-)
+from animarl_algos.learner.settings import RUN_KEYS, TABLES, LearnerFile, LearnerSettings
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.files import parse_yaml
@@ -36,7 +31,6 @@ CONFIGS = resources.files("zoo_configs")
 PRESETS = ("paper", "default")
 COMMON_SECTION = ""
 """The section of an environment that has none of its own: what is common to all."""
-TABLES = ("offline_kwargs", "policy_kwargs", "replay_buffer_kwargs")
 Sections = dict[str, dict[str, dict[str, Any]]]
 
 
@@ -47,7 +41,12 @@ class LearnerPreset:
     n_timesteps: int  # of the world
     n_envs: int  # its copies
     env_kwargs: dict[str, Any]  # its options in training
-    arguments: dict[str, Any]  # of the algorithm, which :func:`constructed` completes
+    arguments: dict[str, Any]  # what files and overrides say of the learner
+
+    @property
+    def settings(self) -> LearnerSettings:
+        """All settings of the learner."""
+        return LearnerSettings.of(self.arguments)
 
 
 def learner_preset(
@@ -59,14 +58,14 @@ def learner_preset(
     config: str | Path | None = None,
     cloning: str | None = None,
 ) -> LearnerPreset:
-    """The settings of ``algo``, such as ``qr-dqcil-pt``, in an environment (its Gymnasium id).
+    """Return the settings of ``algo``, such as ``qr-dqcil-pt``, in an environment (its id).
 
     ``overrides`` go over those of the file: ``config``, by default ``zoo_configs/<algo>.yml``.
     ``cloning`` is a section of ``cloning.yml``, by default that of the environment. Raises
     InputError if there is no such preset, a key is unknown, or a value is of the wrong kind.
     """
     file = algo if config is None else Path(config)
-    found, listed = read_preset(file, env_id, preset, cloning=cloning)
+    settings, listed = read_preset(file, env_id, preset, cloning=cloning)
     if preset == "paper" and not listed:
         ids = [environment_id(name) for name in SPECIES]
         if not any(read_preset(algo, each, preset)[1] for each in ids):
@@ -75,54 +74,40 @@ def learner_preset(
             f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of "
             f"{', '.join(ids)}"
         )
-    given = LearnerFile.check(dict(overrides or {}), f"{algo}: setting ")
-    found = merged(found, given)
-    missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
+    given = LearnerFile.check(overrides or {}, f"{algo}: setting ")
+    settings = deepcopy(merge_tables(settings, given))
+    missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in settings]
     if missing:
-        said = f"{config or algo}: it does not say {', '.join(missing)} for {env_id}"
-        raise InputError(f"{said}: add this, or begin the file with 'base: {algo}', which says all")
-    arguments = {key: found[key] for key in sorted(found) if key not in RUN_KEYS}
-    env_kwargs = found.get("env_kwargs") or {}
-    return LearnerPreset(found["n_timesteps"], found["n_envs"], env_kwargs, arguments)
+        raise InputError(
+            f"{config or algo}: it does not say {', '.join(missing)} for {env_id}: add this, or "
+            f"begin the file with 'base: {algo}', which says all"
+        )
+    arguments = {key: settings[key] for key in sorted(settings) if key not in RUN_KEYS}
+    options = settings.get("env_kwargs") or {}
+    return LearnerPreset(settings["n_timesteps"], settings["n_envs"], options, arguments)
 
 
-def constructed(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a preset, completed by the defaults, as the algorithms take them.
+def resolve_settings(
+    algo: str, pretrained: str | None, env: Any, given: Mapping[str, Any]
+) -> LearnerSettings:
+    """Return the settings of a learner made in Python: those ``given`` over preset ``default``.
 
-    Lists become tuples, a rate ``lin_1e-4`` a schedule.
-    """
-    whole = default_settings() | dict(arguments)
-    ready = {k: tuple(v) if isinstance(v, list) else v for k, v in whole.items()}
-    if isinstance(rate := ready["learning_rate"], str):
-        ready["learning_rate"] = linear_schedule(rate)
-    return ready
-
-
-def constructor_settings(
-    plain: str, pretrained: str | None, env: Any, given: Mapping[str, Any]
-) -> dict[str, Any]:
-    """All settings of a learner made in Python: those ``given``, over those of preset ``default``.
-
-    ``plain`` and ``pretrained`` name the learner's files: as it is, and, if it has one, for
+    ``algo`` and ``pretrained`` name the learner's files: as it is, and, if it has one, for
     ``offline_epochs`` above 0. The species of ``env`` has a section of its own, and so have a few
     ordinary tasks, which holds for the policy that it names alone. A table in ``given`` goes over
     the preset's key by key, and None empties it. Raises InputError if a setting is unknown.
     """
-    section = section_of(env)
-    settings = constructed(learner_preset(plain, section).arguments)
-    asked = given.get("policy", settings["policy"])
-    if not section.startswith("AnimaRL/") and asked not in (settings["policy"], None):
-        section = COMMON_SECTION
-        settings = constructed(learner_preset(plain, section).arguments)
     given = check_settings(given)
-    if given.get("offline_epochs") and not settings["offline_epochs"] and pretrained is not None:
-        settings = constructed(learner_preset(pretrained, section).arguments)
-    tables = {
-        # None, as presets and records of runs have it, says that there is nothing in the table.
-        name: {} if table is None else dict(settings[name] or {}) | dict(table)
-        for name, table in ((name, given.get(name, {})) for name in TABLES)
-    }
-    return settings | dict(given) | tables
+    section = section_of(env)
+    settings = learner_preset(algo, section).settings
+    policy = given.get("policy", settings.policy)
+    if not section.startswith("AnimaRL/") and policy != settings.policy:
+        section = COMMON_SECTION
+        settings = learner_preset(algo, section).settings
+    if given.get("offline_epochs") and not settings.offline_epochs and pretrained is not None:
+        settings = learner_preset(pretrained, section).settings
+    tables = {name: getattr(settings, name) | given[name] for name in TABLES if given.get(name)}
+    return settings.changed(**{**given, **tables})
 
 
 def section_of(env: Any) -> str:
@@ -139,19 +124,17 @@ def section_of(env: Any) -> str:
 
 
 def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings given in Python, checked but for the policy, which may be a class.
+    """Return settings given in Python, checked.
 
     Raises InputError if one is unknown or out of its range.
     """
-    known = default_settings()
+    known = field_types(LearnerSettings)
     for name in given:
         if name not in known:
             raise InputError(
                 f"setting {name!r} is unknown: choose among {', '.join(sorted(known))}"
             )
-    own = {name: value for name, value in given.items() if name != "policy"}
-    checked: dict[str, Any] = LearnerFile.check(own, "")
-    return dict(given) | checked
+    return LearnerFile.check(given)
 
 
 # -- files ----------------------------------------------------------------------------------------
@@ -187,14 +170,14 @@ def read_preset(
         inherited, there = read_preset(
             base, env_id, preset, model, cloning=cloning, within=(*within, str(config))
         )
-        settings, listed = merged(settings, inherited), listed or there
+        settings, listed = merge_tables(settings, inherited), listed or there
     for section in ("common", cloning if cloning in sections else env_id):
-        settings = merged(settings, sections.get(section, {}).get(preset, {}))
+        settings = merge_tables(settings, sections.get(section, {}).get(preset, {}))
     return settings, listed
 
 
-def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Return both settings, the upper ones where both speak; the entries of a table one by one."""
+def merge_tables(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    """Return both settings, the upper ones where both set a value; tables key by key."""
     tables = {
         key: lower[key] | value
         for key, value in upper.items()
@@ -203,7 +186,7 @@ def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]
     return {**lower, **upper, **tables}
 
 
-def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[list[str], Sections]:
+def read_file(config: str | Path, model: Any = LearnerFile) -> tuple[list[str], Sections]:
     """Return the names of the base files, and section -> preset -> settings, every key checked.
 
     ``config`` is the name of a file of ``zoo_configs`` without its suffix, or the path of one;
@@ -213,11 +196,16 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
     file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
     name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"
     try:
-        content = deepcopy(_parse(file.read_text(encoding="utf-8"), name))
+        return _parse(file.read_text(encoding="utf-8"), name, model)
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"{name}: there is no such configuration") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{name}: it is not valid YAML ({error}): fix it") from None
+
+
+@lru_cache  # every learner that is made reads the same few files
+def _parse(text: str, name: str, model: Any) -> tuple[list[str], Sections]:
+    content = parse_yaml(text, name)
     if not isinstance(content, dict):
         raise InputError(f"{name}: it holds no sections: write one per environment id")
     base = content.pop("base", [])
@@ -240,11 +228,7 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
         for preset, settings in presets.items():
             if not isinstance(settings, dict):
                 raise InputError(f"{place}: {preset} is {settings!r}: give a table of settings")
-            settings = {str(key): value for key, value in settings.items()}
-            checked = model.check(settings, f"{place}: {preset}: ")
+            named = {str(key): value for key, value in settings.items()}
+            checked = model.check(named, f"{place}: {preset}: ")
             sections.setdefault(str(section), {})[preset] = checked
     return bases, sections
-
-
-# Every learner that is made reads the same few files, and parsing takes milliseconds each.
-_parse = lru_cache(parse_yaml)

@@ -23,7 +23,7 @@ from tqdm import tqdm as lines
 from tqdm.auto import tqdm
 
 from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.learner.settings import OfflineSettings
+from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.learner.updates import Totals, minibatch_values, update
 from animarl_algos.losses.terms import Phase, Recipe, Selection
 from animarl_algos.losses.values import mean_recall, treatment_counts
@@ -82,12 +82,7 @@ class Pretraining:
 
     policy: GruPolicy  # its networks are trained
     recipe: Recipe  # its offline terms are minimised
-    phase: Phase
-    settings: OfflineSettings  # how minibatches are drawn and steps are taken
-    epochs: int
-    learning_rate: float
-    batch_size: int
-    patience: int | None
+    settings: LearnerSettings
     seed: int
     progress: OfflineProgress  # changed as it goes on
 
@@ -102,13 +97,19 @@ class Pretraining:
         if progress.epoch == 0:
             self._begin(data.train)
         bar_options: dict[str, Any] = {"done": progress.epoch, "disable": not progress_bar}
-        with shown_progress("offline", "epoch", self.epochs, **bar_options) as bar:
-            while not progress.over(self.epochs, self.patience):
+        with shown_progress("offline", "epoch", self.settings.offline_epochs, **bar_options) as bar:
+            while not progress.over(self.settings.offline_epochs, self.settings.offline_patience):
                 at_boundary()
                 row = self.train_epoch(data.train)
                 policy.q_net_target.load_state_dict(policy.q_net.state_dict())
                 network = self._judged_network()
-                found = demonstrated_values(policy, self.phase, data.val, self.batch_size, network)
+                found = demonstrated_values(
+                    policy,
+                    self.settings.phase("offline"),
+                    data.val,
+                    self.settings.offline_batch_size,
+                    network,
+                )
                 row |= validation_figures(found, policy.individuals)
                 self._keep_best(row, network)
                 progress.history.append({"epoch": float(progress.epoch)} | row)
@@ -131,19 +132,23 @@ class Pretraining:
     def _begin(self, train: OfflineDataset) -> None:
         """Bring everything into the state before the first update."""
         policy = self.policy
-        policy.reset_optimizer(self.learning_rate)
-        if self.settings.standardise:
+        policy.reset_optimizer(self.settings.offline_learning_rate)
+        if self.settings.offline.standardise:
             mean, sd = (each.to(policy.device) for each in train.input_statistics())
             for network in (policy.q_net, policy.q_net_target):
                 network.standardise_inputs(mean, sd)
-        if self.settings.average:
+        if self.settings.offline.average:
             weights = policy.q_net.state_dict()
             self.progress.average_weights = {k: v.clone() for k, v in weights.items()}
 
     def train_epoch(self, dataset: OfflineDataset) -> Figures:
         """Make one pass over the training split; return the mean of each term."""
-        policy, settings, epoch = self.policy, self.settings, self.progress.epoch
-        terms, individuals, size = self.recipe.offline, policy.individuals, self.batch_size
+        policy, settings, epoch = self.policy, self.settings.offline, self.progress.epoch
+        terms, individuals, size = (
+            self.recipe.offline,
+            policy.individuals,
+            self.settings.offline_batch_size,
+        )
         needs_target = any(term.needs_target for term in terms)
         generator = np.random.default_rng([self.seed, epoch])
         dropout = DropoutDraws(policy.q_net.dropout, [self.seed, epoch], individuals)
@@ -158,13 +163,16 @@ class Pretraining:
             )
         totals: Totals = {}
         for done, batch in enumerate(batches, start=epoch * per_epoch):
-            rate = settings.rate_factor(done, self.epochs * per_epoch) * self.learning_rate
+            rate = (
+                settings.rate_factor(done, self.settings.offline_epochs * per_epoch)
+                * self.settings.offline_learning_rate
+            )
             for group in policy.optimizer.param_groups:
                 group["lr"] = rate
             minibatch = minibatch_values(
                 policy,
                 batch.to(policy.device),
-                self.phase,
+                self.settings.phase("offline"),
                 needs_target=needs_target,
                 last_states=length is None,
                 dropout=dropout,
@@ -206,7 +214,7 @@ class Pretraining:
         if progress.epoch == 0:
             progress.best_epochs = [0] * len(individuals)
             progress.best_figures = [float("inf")] * len(individuals)
-        waiting = progress.running(self.patience)
+        waiting = progress.running(self.settings.offline_patience)
         progress.epoch += 1
         for figure in figures:
             if not np.isfinite(figure):

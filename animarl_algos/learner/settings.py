@@ -1,28 +1,29 @@
-"""What a learner can be told: every setting with its type, default, range, unit and prose, once.
+"""The settings of a learner: each with its type, default, range, unit and meaning, once.
 
 The check of YAML files and of ``--set``, the constructor's defaults, ``help`` of a learner's class
-and the tables of ``docs/learners.md`` are made from :class:`LearnerSettings`.
+and the tables of ``docs/learners.md`` are made from :class:`LearnerSettings`. An instance of it is
+what a run records in ``settings.json`` and what a learner reads.
 """
 
 from __future__ import annotations
 
 import ast
+import inspect
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
-from pydantic import AfterValidator, WithJsonSchema
+from pydantic import AfterValidator, WithJsonSchema, WrapValidator
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from animarl_algos.data.vec_env import declared
-from animarl_algos.losses.terms import Recipe
+from animarl_algos.losses.terms import Phase, Recipe
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.replay.sequence_buffer import StateMode
 from animarl_envs.errors import InputError
@@ -33,6 +34,8 @@ from animarl_envs.settings import (
     NotNegative,
     Positive,
     Probability,
+    describe_fields,
+    field_types,
     is_number,
 )
 
@@ -90,7 +93,12 @@ def linear_schedule(rate: str) -> LinearSchedule:
 
 Rate = Annotated[Any, AfterValidator(_check_rate), WithJsonSchema({"type": "number"})]
 Frequency = Annotated[Any, AfterValidator(_check_frequency), WithJsonSchema({"type": "array"})]
-Table = dict[str, Any] | None
+Table = Annotated[
+    dict[str, Any],
+    WrapValidator(lambda table, check: None if table is None else check(table)),
+]
+"""A table; None in a file takes away what is below it, and is an empty one in settings."""
+TABLES = ("offline_kwargs", "policy_kwargs", "replay_buffer_kwargs")
 Share = Annotated[float, Gt(0), Le(1)]
 
 
@@ -155,7 +163,7 @@ class LearnerSettings(Checked):
     """Where the memory at the start of a sequence comes from."""
     prioritized: bool = True
     """Whether sequences are drawn by their temporal difference errors."""
-    replay_buffer_kwargs: Table = None
+    replay_buffer_kwargs: Table = field(default_factory=dict)
     """Further arguments of the replay memory."""
     standardise_inputs: bool = False
     """Whether the networks see observations centred and scaled by mean and sd of those that the
@@ -188,15 +196,117 @@ class LearnerSettings(Checked):
     """Largest gradient norm of one individual, offline; None does not clip."""
     offline_patience: Count | None = None
     """Epochs without a better one after which the offline phase stops."""
-    offline_kwargs: Table = None
+    offline_kwargs: Table = field(default_factory=dict)
     """How the offline phase draws its minibatches and takes its steps, see
     :class:`OfflineSettings`."""
-    policy_kwargs: Table = None
+    policy_kwargs: Table = field(default_factory=dict)
     """See :class:`animarl_algos.networks.policies.GruPolicy`; stable-baselines3's ``net_arch`` and
     ``activation_fn`` are translated. This table, ``offline_kwargs`` and ``replay_buffer_kwargs`` go
     over the preset's key by key; None empties them."""
     stats_window_size: Count = 100
     """Episodes in the means of the log."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in TABLES:
+            object.__setattr__(self, name, getattr(self, name) or {})
+
+    @property
+    def offline(self) -> OfflineSettings:
+        """The settings in ``offline_kwargs``."""
+        return OfflineSettings.of(self.offline_kwargs, "offline_kwargs: ")
+
+    def sb3_arguments(self) -> dict[str, Any]:
+        """Return the arguments of stable-baselines3's constructor."""
+        rate = self.learning_rate
+        schedule = linear_schedule(rate) if isinstance(rate, str) else rate
+        # copies, because sb3-contrib adds an optimiser to its own
+        arguments = {name: copy(getattr(self, name)) for name in SB3_ARGUMENTS}
+        return arguments | {"learning_rate": schedule}
+
+    def phase(self, name: str) -> Phase:
+        """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
+        if name == "online":
+            return Phase(
+                name=name,
+                gamma=self.gamma,
+                alpha=self.alpha,
+                lambda1=self.lambda1,
+                lambda2=self.lambda2,
+                lambda3=self.lambda3,
+                max_grad_norm=self.max_grad_norm,
+                n_steps=self.n_steps,
+            )
+        return Phase(
+            name=name,
+            gamma=self.offline_gamma,
+            alpha=self.offline_alpha,
+            lambda1=self.lambda1,
+            lambda2=self.offline_lambda2,
+            lambda3=self.offline_lambda3,
+            max_grad_norm=self.offline_max_grad_norm,
+            scaled_penalties=self.offline_scaled_penalties,
+        )
+
+
+def document_parameters(own: str | None, base: str | None) -> str:
+    """Return a recipe's documentation with all parameters of its learner, for ``help``."""
+    own, base = inspect.cleandoc(own or ""), inspect.cleandoc(base or "")
+    if "Parameters\n---" in own:
+        return own
+    parameters = base.partition("Parameters\n")[2].partition("\n\nAttributes")[0]
+    prose = [
+        f"{name}\n    {meaning}"
+        for name, meaning in describe_fields(LearnerSettings).items()
+        if name not in ("policy", "learning_rate")
+    ]
+    return "\n".join([own, "", "Parameters", parameters, *prose])
+
+
+SB3_ARGUMENTS = (
+    "buffer_size",
+    "learning_starts",
+    "batch_size",
+    "tau",
+    "gamma",
+    "train_freq",
+    "gradient_steps",
+    "replay_buffer_kwargs",
+    "target_update_interval",
+    "exploration_initial_eps",
+    "exploration_final_eps",
+    "exploration_fraction",
+    "max_grad_norm",
+    "stats_window_size",
+    "policy_kwargs",
+)
+"""Settings that stable-baselines3's constructor takes and keeps as attributes."""
+
+
+def take_settings(attributes: dict[str, Any], settings: LearnerSettings) -> LearnerSettings:
+    """Return the settings of a learner with those that stand among its ``attributes``.
+
+    stable-baselines3's ``load`` puts those there that it is given, and files of earlier versions
+    hold all of them so. Those that are no attributes of its own are taken away.
+    """
+    found = {name: attributes[name] for name in SB3_ARGUMENTS if name in attributes}
+    for name in field_types(LearnerSettings):
+        if name not in (*SB3_ARGUMENTS, "policy", "learning_rate") and name in attributes:
+            found[name] = attributes.pop(name)
+    found["policy"] = policy_name(attributes["policy_class"])
+    if isinstance(frequency := found["train_freq"], TrainFreq):
+        found["train_freq"] = (frequency.frequency, frequency.unit.value)
+    rate = attributes["learning_rate"]
+    if not (isinstance(settings.learning_rate, str) and isinstance(rate, LinearSchedule)):
+        found["learning_rate"] = rate
+    return settings.changed(**found)
+
+
+def policy_name(policy: Any) -> Any:
+    """Return the name of a policy class, or whatever else was given."""
+    if not isinstance(policy, type):
+        return policy
+    return "GruPolicy" if getattr(policy, "recurrent", False) else "MlpPolicy"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,10 +356,10 @@ class OfflineSettings(Checked):
         """Return the updates of an epoch with minibatches of windows of so many steps."""
         assert self.sequence_length is not None
         whole_pass = steps / (batch_size * self.sequence_length)
-        asked = whole_pass if self.updates_per_epoch is None else self.updates_per_epoch
+        updates = whole_pass if self.updates_per_epoch is None else self.updates_per_epoch
         if self.passes_per_epoch is not None:
-            asked = min(asked, self.passes_per_epoch * whole_pass)
-        return max(1, round(asked))
+            updates = min(updates, self.passes_per_epoch * whole_pass)
+        return max(1, round(updates))
 
     def rate_factor(self, update: int, updates: int) -> float:
         """Return the factor of the learning rate at an update (the first is 0) of so many."""
@@ -271,7 +381,7 @@ class LearnerFile(LearnerSettings):
     """Steps of the world."""
     n_envs: Count = 1
     """Copies of the world."""
-    env_kwargs: Table = None
+    env_kwargs: Table = field(default_factory=dict)
     """Options of the training environment."""
 
     @classmethod
@@ -297,60 +407,20 @@ RUN_KEYS = ("n_timesteps", "n_envs", "env_kwargs")
 """What a file says beside the learner's arguments."""
 
 
-def default_settings() -> dict[str, Any]:
-    """Return all settings of a learner, each as it is where no preset says another."""
-    return vars(LearnerSettings()).copy()
-
-
-def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
-    """Return the time limit [steps]: as ``given``, or as the environment declares it.
-
-    Raises InputError if it declares none.
-    """
-    if given is not None or env is None:
-        return given
-    limit = declared_limit(env)
-    if limit is None:
-        raise InputError(
-            "the environment does not say how long an episode can last: give max_episode_steps, or "
-            "wrap it in gymnasium.wrappers.TimeLimit"
-        )
-    return limit
-
-
-def declared_limit(env: VecEnv) -> int | None:
-    """Return the time limit [steps] that an environment tells of itself, if any.
-
-    That is ``max_episode_steps`` of the VecEnv or of its environments, ``time_limit`` of AnimaRL's,
-    or what the Gymnasium specs say; of several the longest.
-    """
-    # The last is that of Gymnasium's TimeLimit, around an environment without a spec.
-    for name in ("max_episode_steps", "time_limit", "_max_episode_steps"):
-        if name == "time_limit" and declared(env, "scenario") is None:
-            continue  # another package's, maybe in seconds
-        limit = getattr(env, name, None)
-        if limit is None and env.has_attr(name):
-            each = env.get_attr(name)
-            limit = None if None in each else max(each)
-        if limit is not None:
-            return int(limit)
-    limits = [spec.max_episode_steps for spec in env.get_attr("spec") if spec is not None]
-    return max(map(int, limits)) if limits and all(limits) else None
-
-
-# -- what does not go together ---------------------------------------------------------------------
+# -- combinations ---------------------------------------------------------------------------------
 
 
 def check_setting_combinations(
-    settings: Mapping[str, Any], recipe: Recipe, recurrent: bool, quantiles: bool
+    settings: LearnerSettings, recipe: Recipe, recurrent: bool, quantiles: bool
 ) -> None:
     """Refuse settings of a new learner of which one makes another useless.
 
     ``recurrent`` says whether the policy has a memory, ``quantiles`` whether values are quantiles
     of the return.
     """
-    updates, epochs = settings["gradient_steps"], settings["offline_epochs"]
-    frequency = as_frequency(settings["train_freq"])
+    _ = settings.offline  # which refuses its own combinations
+    updates, epochs = settings.gradient_steps, settings.offline_epochs
+    frequency = as_frequency(settings.train_freq)
     if updates == 0:
         raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
     if frequency.unit is TrainFrequencyUnit.EPISODE and updates != 1:
@@ -358,8 +428,8 @@ def check_setting_combinations(
             f"gradient_steps is {updates} and train_freq counts episodes: "
             "give updates_per_episode instead, or a train_freq in steps"
         )
-    length, burn_in, n_steps = (settings[n] for n in ("sequence_length", "burn_in", "n_steps"))
-    forgetful = burn_in == 0 and settings["state_mode"] != StateMode.STORED
+    length, burn_in, n_steps = settings.sequence_length, settings.burn_in, settings.n_steps
+    forgetful = burn_in == 0 and settings.state_mode != StateMode.STORED
     if recurrent and length == 1 and forgetful:
         raise InputError(
             "sequence_length is 1 and the policy has a memory, which learns nothing from "
@@ -370,7 +440,7 @@ def check_setting_combinations(
             f"n_steps is {n_steps} and {length - burn_in} steps of a sequence are learned from: "
             "give a longer sequence_length, or fewer n_steps"
         )
-    given = settings["policy_kwargs"].get("n_quantiles")
+    given = settings.policy_kwargs.get("n_quantiles")
     if (given is not None) != quantiles:
         raise InputError(
             f"policy_kwargs: n_quantiles is {given!r}: only the learners on quantiles have it, and "
@@ -386,7 +456,7 @@ def check_setting_combinations(
         )
 
 
-AS_IT_IS = {
+SB3_NAMES_WITH_FIXED_VALUE = {
     "activation_fn": (
         nn.ReLU, "hidden layers are rectified here, so give torch.nn.ReLU or leave it out",
     ),
@@ -423,9 +493,9 @@ def translate_policy_kwargs(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
                 "so give a list such as [64, 64], or hidden=64 and depth=2"
             )
         table |= {"hidden": layers[0], "depth": len(layers)}
-    for name, (usual, why) in AS_IT_IS.items():
-        asked = table.pop(name, usual)
-        if asked is not usual and asked != {}:
-            shown = getattr(asked, "__name__", repr(asked))
-            raise InputError(f"policy_kwargs: {name} is {shown}: {why}")
+    for name, (usual, why) in SB3_NAMES_WITH_FIXED_VALUE.items():
+        value = table.pop(name, usual)
+        if value is not usual and value != {}:
+            text = getattr(value, "__name__", repr(value))
+            raise InputError(f"policy_kwargs: {name} is {text}: {why}")
     return table

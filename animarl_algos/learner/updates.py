@@ -18,6 +18,7 @@ from animarl_algos.losses.values import (
 from animarl_algos.networks.layers import DropoutDraws, Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -27,6 +28,10 @@ PRIORITY_MAX_SHARE = 0.9
 """Priority of a sequence: this share of its largest |TD error|, the rest its mean (Kapturowski et
 al. 2019)."""
 Totals = dict[str, torch.Tensor]
+
+
+INPUT_CLIP = 1000.0
+"""Inputs standardised by random steps are clipped at so many sd: learnt behaviour goes farther."""
 
 
 @dataclass
@@ -245,3 +250,16 @@ def _burn_in(network: StackedQNetwork, batch: SequenceBatch) -> torch.Tensor:
         packing,
     ).final_state
     return rebuilt
+
+
+def standardise_inputs(policy: GruPolicy, buffer: SequenceReplayBuffer, *, done: bool) -> None:
+    """Standardise the networks' inputs by what the memory holds now, once for all.
+
+    What was standardised before, in the offline phase too, stays, and so do the inputs that a
+    network has learned from in an offline phase as they were: ``done`` says that it is over.
+    """
+    if done or torch.isfinite(policy.q_net.input_limit).all():
+        return
+    mean, sd = (torch.from_numpy(each).to(policy.device) for each in buffer.moments())
+    for network in (policy.q_net, policy.q_net_target):
+        network.standardise_inputs(mean, sd, limit=INPUT_CLIP)

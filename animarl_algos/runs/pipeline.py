@@ -12,7 +12,7 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.recipe_choice import choose_recipe
-from animarl_algos.data.vec_env import SlotVecEnv, check_environment_supports
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
@@ -23,7 +23,6 @@ from animarl_algos.learner.checkpoint import (
     load_checkpoint,
     steps_done,
 )
-from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.pretraining import shown_progress
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
@@ -83,11 +82,9 @@ def check_run(settings: RunSettings, demos: Demonstrations) -> None:
     if settings.acting != CHOSEN:
         Acting.parse(settings.acting).checked(len(env.individuals), env.world.num_actions)
     for algo in (settings.algo, *settings.compared):
-        arguments = constructed(settings.learner(algo).arguments)
-        learner = named_recipe(algo).algorithm(
-            env=env, seed=settings.seed, device="cpu", **arguments
+        named_recipe(algo).algorithm(
+            env=env, seed=settings.seed, device="cpu", settings=settings.learner(algo).settings
         )
-        check_environment_supports(learner.recipe, env, learner.layout, learner.alpha)
 
 
 def load_demonstrations(

@@ -36,7 +36,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.trait_response import trait_components, trait_gains
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import latest_checkpoint, serialise_tensors, summarise_error
-from animarl_algos.learner.presets import constructed
+from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import run_files, run_world
@@ -100,8 +100,8 @@ class Run:
         resolved = _as_json(
             {
                 "settings": asdict(settings),
-                "learner": own.arguments,
-                "baseline": other.arguments,
+                "learner": asdict(own.settings),
+                "baseline": asdict(other.settings),
                 "environment": world | own.env_kwargs,
                 "fingerprint": demos.fingerprint(),
             }
@@ -118,6 +118,8 @@ class Run:
             return
         for key, here in resolved.items():
             there = self.record.get(key)
+            if key in ("learner", "baseline") and there is not None:  # maybe without defaults
+                there = _as_json(asdict(LearnerSettings.of(there)))
             if there != here:
                 if isinstance(there, dict) and isinstance(here, dict):
                     keys = [k for k in here | there if here.get(k) != there.get(k)]
@@ -336,9 +338,12 @@ class Run:
     def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
         """Return a new learner with the settings that were recorded when the run began."""
         settings = self.settings
-        plain = self.record["learner" if algo == settings.algo else "baseline"]
+        recorded = self.record["learner" if algo == settings.algo else "baseline"]
         return named_recipe(algo).algorithm(
-            env=env, seed=settings.seed, device=settings.device, **constructed(plain)
+            env=env,
+            seed=settings.seed,
+            device=settings.device,
+            settings=LearnerSettings.of(recorded, f"{self.path / 'settings.json'}: "),
         )
 
     @cached_property

@@ -30,7 +30,6 @@ from animarl_algos.data.vec_env import MixedMeansWarning, SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.presets import learner_preset
-from animarl_algos.learner.settings import default_settings
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_settings import environment_options
@@ -101,16 +100,13 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
                     raise InputError(f"--env-kwargs {name}: training sets it itself: {instead}")
             options = found.env_kwargs | options
         self.eval_env_kwargs = options | given
-        settings = found.arguments | {
-            "n_timesteps": found.n_timesteps,
-            "n_envs": found.n_envs,
-            "env_kwargs": options,
-        }
+        run = {"n_timesteps": found.n_timesteps, "n_envs": found.n_envs, "env_kwargs": options}
+        settings = found.arguments | run
         source = file or f"zoo_configs/{self.algo}.yml ({self.preset})"
         print(f"Settings from {source}:\n{yaml.safe_dump(settings)}")
         # A trained agent brings what the preset leaves open; a new one takes it from the files.
-        whole = default_settings() | deepcopy(settings)
-        network = whole["policy_kwargs"] or {}
+        whole = vars(found.settings) | deepcopy(run)
+        network = whole["policy_kwargs"]
         samples = whole["exploration"] == "boltzmann" or "temperature" in network
         self.deterministic_eval = self.deterministic_eval and not samples
 
@@ -199,7 +195,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         A policy that samples is scored as it acts.
         """
         assert isinstance(model, SequenceQLearning)
-        fitted = model.exploration == "boltzmann"  # once the offline phase is over
+        fitted = model.settings.exploration == "boltzmann"  # once the offline phase is over
         samples = fitted or model.policy.acting.kind is Kind.BOLTZMANN
         for callback in self.callbacks:
             if isinstance(callback, EvalCallback):

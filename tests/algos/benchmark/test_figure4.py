@@ -15,7 +15,6 @@ from animarl_algos.benchmark.matrix import plan, read_matrix
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import DIFFERS
-from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.words import Words
 from animarl_envs.demos.packaged import load_packaged
@@ -85,7 +84,7 @@ def test_every_learner_has_two_sizes_in_whole_rounds() -> None:
         less, more = scale.few_steps(cell.settings)
         assert more == 3 * less >= 3 * scale.STEPS, cell
         learner = cell.settings.learner()
-        every, unit = constructed(learner.arguments)["train_freq"]
+        every, unit = learner.settings.train_freq
         units.append(unit)
         assert unit == "episode" or less % (every * learner.n_envs) == 0, cell
     assert {"episode", "step"} <= set(units)

@@ -337,7 +337,7 @@ def test_named_demonstrations_serve_an_environment_without_names() -> None:
 
 def test_pretraining_needs_epochs_and_again_changes_nothing() -> None:
     cloning = BC("GruPolicy", toys.Pair(2), demonstrations=demonstrations(), **SETTINGS)
-    assert cloning.offline_epochs == BC.default_settings()["offline_epochs"] > 0
+    assert cloning.settings.offline_epochs == BC.default_settings()["offline_epochs"] > 0
     assert "give offline_epochs" in refused(BC, "GruPolicy", offline_epochs=0)
     without = make_pair_learner("dqdil", demonstrations=demonstrations())
     refuses("give offline_epochs", without.pretrain)

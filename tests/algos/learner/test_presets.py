@@ -12,14 +12,13 @@ import toys
 import yaml
 from refusals import refuses
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from animarl_algos import DQN
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import CONFIGS, PRESETS, constructed, learner_preset, section_of
-from animarl_algos.learner.settings import LearnerSettings, default_settings
+from animarl_algos.learner.presets import CONFIGS, PRESETS, learner_preset, section_of
+from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.recipes.registry import DQDIL, RECIPES, named_recipe
 from animarl_algos.runs.run_settings import pipeline_settings
 from animarl_envs import SPECIES, environment_id
@@ -37,8 +36,8 @@ def presets(algo: str) -> tuple[str, ...]:
 def test_every_recipe_can_be_made_from_its_settings(algo: str, preset: str) -> None:
     found = learner_preset(algo, AGENT, preset, {"buffer_size": 2000})
     env = SlotVecEnv("agent", 2, condition_flag=None, **found.env_kwargs)
-    model = named_recipe(algo).algorithm(env=env, seed=0, **constructed(found.arguments))
-    assert (model.offline_epochs > 0) == named_recipe(algo).pretrained
+    model = named_recipe(algo).algorithm(env=env, seed=0, settings=found.settings)
+    assert (model.settings.offline_epochs > 0) == named_recipe(algo).pretrained
     assert (model.policy_kwargs.get("n_quantiles") == 20) == algo.startswith("qr-")
 
 
@@ -185,7 +184,7 @@ def test_a_file_of_ones_own_builds_on_those_of_the_package(tmp_path: Path) -> No
     file.write_text(f"base: dqdil\n{AGENT}:\n  default: {{alpha: 3, learning_rate: lin_1e-4}}\n")
     mine, plain = learner_preset("dqdil", AGENT, config=file), learner_preset("dqdil", AGENT)
     assert mine.arguments == plain.arguments | {"alpha": 3.0, "learning_rate": "lin_1e-4"}
-    rate = constructed(mine.arguments)["learning_rate"]
+    rate = mine.settings.sb3_arguments()["learning_rate"]
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([1e-4, 5e-5, 0.0])
 
 
@@ -258,19 +257,14 @@ def slots(species: str) -> SlotVecEnv:
 
 def in_use(model: SequenceQLearning, name: str) -> Any:
     """A setting of a learner, as a file would say it."""
-    if name == "policy":
-        return model.policy_class.__name__
-    value = getattr(model, "_stats_window_size" if name == "stats_window_size" else name)
-    if name == "train_freq":
-        value = (value.frequency, value.unit.value)
-    if isinstance(value, LinearSchedule):
-        return f"lin_{value.start:g}"
+    value = getattr(model.settings, name)
+    assert name != "policy" or value == model.policy_class.__name__
     return list(value) if isinstance(value, tuple) else value
 
 
 def expected(algo: str, env_id: str) -> dict[str, Any]:
     """Of the files."""
-    return tables_filled(default_settings() | learner_preset(algo, env_id, "default").arguments)
+    return tables_filled(vars(learner_preset(algo, env_id, "default").settings))
 
 
 def tables_filled(settings: dict[str, Any]) -> dict[str, Any]:
@@ -305,9 +299,9 @@ def test_a_learner_without_settings_has_the_presets(algo: str, species: str) -> 
 @pytest.mark.parametrize("algo", ["dqn", "dqdil-pt", "qr-bc"])
 def test_a_learner_of_the_paper_takes_nothing_from_the_default(algo: str) -> None:
     moth = environment_id("silkmoth")  # whose defaults are the furthest from the paper's
-    paper = learner_preset(algo, moth, "paper").arguments
-    model = RECIPES[algo].algorithm(env=slots("silkmoth"), device="cpu", **constructed(paper))
-    settings = tables_filled(default_settings() | paper)
+    paper = learner_preset(algo, moth, "paper").settings
+    model = RECIPES[algo].algorithm(env=slots("silkmoth"), device="cpu", settings=paper)
+    settings = tables_filled(vars(paper))
     assert {name: in_use(model, name) for name in settings} == settings
 
 
@@ -344,18 +338,18 @@ def test_what_is_given_goes_over_the_preset_and_tables_key_by_key() -> None:
     changed = {"policy": "MlpPolicy", "gamma": 0.5, "policy_kwargs": network}
     for name, value in (expected("qr-dqn", environment_id("agent")) | changed).items():
         assert in_use(model, name) == value
-    assert RECIPES["bc"].algorithm(env=slots("agent"), device="cpu").offline_kwargs
+    assert RECIPES["bc"].algorithm(env=slots("agent"), device="cpu").settings.offline_kwargs
     emptied = RECIPES["bc"].algorithm(env=slots("agent"), device="cpu", offline_kwargs=None)
-    assert emptied.offline_kwargs == {}
+    assert emptied.settings.offline_kwargs == {}
     told = "'learning_rat' is unknown: choose among .*learning_rate"
     refuses(told, DQN, env=slots("agent"), learning_rat=1e-3)
 
 
 def test_the_settings_are_listed_and_explained_once_and_can_be_looked_up() -> None:
-    assert set(LearnerSettings.__annotations__) == set(default_settings())
+    assert set(LearnerSettings.__annotations__) == set(DQDIL.default_settings())
     shown = pydoc.render_doc(DQDIL, renderer=pydoc.plaintext)
     entries = {name for line in shown.splitlines() for name in line.strip(" |").split(", ")}
-    assert set(default_settings()) <= entries
+    assert set(DQDIL.default_settings()) <= entries
     assert "zoo_configs" in shown and "demonstrations" in entries
     plain = DQDIL.default_settings(environment_id("agent"))
     pretrained = DQDIL.default_settings(pretrained=True)
