@@ -25,7 +25,7 @@ from animarl_algos.benchmark.matrix import (
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import BACKENDS, Piece, perform_all
 from animarl_algos.benchmark.scores import score_submission
-from animarl_algos.cli.shared import PlainConsole, command_line, helps
+from animarl_algos.cli.shared import PlainConsole, command_line, with_help
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
 from animarl_envs.errors import InputError
@@ -37,7 +37,7 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
 
 
 @app.callback()
-@helps(
+@with_help(
     preset="smoke (minutes), short (default trainings) or paper.",
     config="A YAML file of your own instead of a preset.",
     out="Folder of the results; finished pieces in it are kept.",
@@ -114,7 +114,7 @@ def benchmark_command(
 
 
 @app.command("score")
-@helps(
+@with_help(
     file="A file of rollouts, .npz.",
     species=typer.Option(help="The packaged species that was rolled out."),
 )

@@ -12,7 +12,7 @@ from rich.table import Table
 from animarl_algos.cli.describing import hints, report, show, wide_console
 from animarl_algos.cli.evaluate import MEASURE, PRIMARY, TOLERANCE
 from animarl_algos.cli.main import SETTINGS
-from animarl_algos.cli.shared import SOURCE, helps, load, refuse_overwriting, write_csv
+from animarl_algos.cli.shared import SOURCE, load, refuse_overwriting, with_help, write_csv
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.joining import join
@@ -54,7 +54,7 @@ def sources_command() -> None:
 
 
 @app.command("show")
-@helps(file=FILE, measure=MEASURE)
+@with_help(file=FILE, measure=MEASURE)
 def show_command(file: str, measure: list[str] | None = None) -> None:
     """Show a file: individuals, episodes, durations, speeds, outcomes, provenance.
 
@@ -76,7 +76,7 @@ def show_command(file: str, measure: list[str] | None = None) -> None:
 
 
 @app.command("compare")
-@helps(
+@with_help(
     file=FILE,
     conditions="Two conditions, such as control,drug; by default the first two of the file.",
     tolerance=TOLERANCE,
@@ -114,7 +114,7 @@ def compare_command(
 
 
 @app.command("check")
-@helps(file=FILE, out="Table of episodes to write (.csv).")
+@with_help(file=FILE, out="Table of episodes to write (.csv).")
 def check_command(file: str, out: Path | None = None) -> None:
     """Validate a file, list suspicious episodes, and write a table of episodes.
 
@@ -140,7 +140,7 @@ def check_command(file: str, out: Path | None = None) -> None:
 
 
 @app.command("split")
-@helps(
+@with_help(
     file=FILE,
     out=OUT,
     by="recording, episode or group.",
@@ -176,7 +176,7 @@ def split_command(
 
 
 @app.command("merge")
-@helps(
+@with_help(
     files="Two files of demonstrations or more.",
     out=typer.Option(help="Demonstrations to write (.npz)."),
     conditions="Condition of each file: 0,1 or two words (control,drug); default: as they are.",
@@ -198,7 +198,7 @@ def merge_command(files: list[Path], out: Path, conditions: str | None = None) -
 
 
 @app.command("convert")
-@helps(file=FILE, out=OUT, source="Reader of the file.")
+@with_help(file=FILE, out=OUT, source="Reader of the file.")
 def convert_command(file: str, out: Path, source: str | None = None) -> None:
     """Convert to .npz, .csv (long table), or a Minari dataset (a folder, no suffix).
 
@@ -222,7 +222,7 @@ def convert_command(file: str, out: Path, source: str | None = None) -> None:
 
 
 @app.command("minari")
-@helps(out=typer.Option(help="Folder for all sets, new or without them."))
+@with_help(out=typer.Option(help="Folder for all sets, new or without them."))
 def minari_command(out: Path) -> None:
     """Write all packaged sets as Minari datasets, animarl/newt/demonstrations-v0 and the like.
 
@@ -236,7 +236,7 @@ def minari_command(out: Path) -> None:
 
 
 @app.command("plot")
-@helps(file=FILE, out=OUT)
+@with_help(file=FILE, out=OUT)
 def plot_command(file: str, out: Path) -> None:
     """Draw tracks, durations, path lengths, speeds and distances (.png, .svg, .pdf).
 

@@ -108,7 +108,7 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     return [(name, str(words)) for name, words in rows.items() if words is not None]
 
 
-def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
+def describe_recipe(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
     """Return what an import is going to do: all that its recipe says, part by part."""
 
     def said(value: Any) -> str:
@@ -285,7 +285,7 @@ def _doubtful_individuals(demos: Demonstrations) -> list[str]:
     return found[:SHOWN_DOUBTS]
 
 
-def found_by_itself(demos: Demonstrations) -> list[str]:
+def automatic_decisions(demos: Demonstrations) -> list[str]:
     """Return what an import decided because nobody stated it."""
     found = []
     recipe: Mapping[str, Any] = demos.provenance.get("recipe", {})

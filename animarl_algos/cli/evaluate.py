@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from typer import Option
 
-from animarl_algos.cli.shared import PlainConsole, command_line, helps, load
+from animarl_algos.cli.shared import PlainConsole, command_line, load, with_help
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED
 
@@ -34,7 +34,7 @@ DETAILS = Option("--details", help="Print the tables.")
 COLOURS = {"none": "none", "some": "yellow", "red": "red"}
 
 
-@helps(
+@with_help(
     runs=RUNS,
     out=OUT,
     acting="Without --out: acting rule, greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
@@ -112,7 +112,7 @@ def evaluate_command(
         _say_page(out)
 
 
-@helps(
+@with_help(
     run="Run folder, trained and evaluated.",
     out=Option(help="Folder of the model."),
     demonstrations=Option(
@@ -144,7 +144,7 @@ def _say_page(out: Path) -> None:
     PlainConsole(WIDTH).print(f"Open {out / PAGE_FILE}")
 
 
-@helps(
+@with_help(
     runs="Run folders (training seeds of one learner), or 'fly'.",
     change=Option(help="NAME=VALUE, such as prey.speed=+20%; repeatable, applied together."),
     out="Folder for tables, figures and text.",
@@ -249,7 +249,7 @@ def whatif_command(
     console.print(f"Tables, text, figures and the page report.html: {out}")
 
 
-@helps(
+@with_help(
     run="A run folder, a packaged model ('fly'), or 'packaged'.",
     out="The HTML file.",
     species="With 'packaged': agent, fly, newt or silkmoth.",

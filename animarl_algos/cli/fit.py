@@ -40,7 +40,7 @@ THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
 """Columns of ``--thrusts``: name in the file, heading in the terminal, and format of a value."""
 
 
-@shared.helps(
+@shared.with_help(
     file="Demonstrations, a file that a reader knows, or a packaged set.",
     source="Reader; by default found by content.",
     species="Use the onset threshold of this species.",

@@ -13,15 +13,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from animarl_algos.cli.describing import (
+    automatic_decisions,
     describe_frame_rate,
-    found_by_itself,
+    describe_recipe,
     hints,
     report,
     show_rows,
-    understood,
     wide_console,
 )
-from animarl_algos.cli.shared import CONTEXT, asks_for, option, parse_settings
+from animarl_algos.cli.shared import CONTEXT, option, parse_settings, with_options
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing.cleaning import Cleaning, Scaling
@@ -94,7 +94,7 @@ def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:
 RECIPE = _recipe_options()
 
 
-@asks_for([*FILES, *(parameter for _, _, parameter in RECIPE.values())])
+@with_options([*FILES, *(parameter for _, _, parameter in RECIPE.values())])
 def import_command(context: typer.Context, files: list[Path], **given: Any) -> None:
     """Turn tracker files into demonstrations; the recipe is saved beside them.
 
@@ -137,10 +137,10 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
         demos = follow(plan, files, told)
     wide_console().print(describe_frame_rate(demos))
     if dry_run:
-        show_rows("What is understood", understood(plan, reader.name, files))
+        show_rows("What is understood", describe_recipe(plan, reader.name, files))
     report(demos, None if dry_run else out, plan)
     console = wide_console()
-    for hint in [*found_by_itself(demos), *hints(demos)]:
+    for hint in [*automatic_decisions(demos), *hints(demos)]:
         console.print(f"hint: {hint}")
     if dry_run:
         console.print("Dry run: nothing was written.")

@@ -114,7 +114,7 @@ def _options(names: str) -> list[inspect.Parameter]:
     return found
 
 
-@shared.asks_for(
+@shared.with_options(
     _options(
         "file env species algo preset steps seed out source copies focal neighbours policy device "
         "config cloning fit_method thrusts acting repetitions folds baselines tolerance primary "
@@ -193,7 +193,7 @@ def run_command(**given: Any) -> None:
     console.print(f"Open {page}")
 
 
-@shared.asks_for(
+@shared.with_options(
     _options(
         "context file env species algo preset steps seed out resume source copies focal neighbours "
         "policy device config cloning fit_method thrusts acting settings"
@@ -225,7 +225,7 @@ def train_command(context: typer.Context, **given: Any) -> None:
     shared.PlainConsole(WIDTH).print(f"Trained: {run.path}")
 
 
-@shared.helps(run="A run folder that was evaluated.")
+@shared.with_help(run="A run folder that was evaluated.")
 def report_command(run: Path) -> None:
     """Write the report of a run again.
 

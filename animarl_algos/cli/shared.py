@@ -56,7 +56,7 @@ def option(name: str, kind: Any, default: Any, info: Any) -> inspect.Parameter:
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
-def asks_for(parameters: Iterable[inspect.Parameter]) -> Callable[[Command], Command]:
+def with_options(parameters: Iterable[inspect.Parameter]) -> Callable[[Command], Command]:
     """Decorator: let typer see these parameters of a command that takes ``**given``."""
     listed = list(parameters)
 
@@ -68,7 +68,7 @@ def asks_for(parameters: Iterable[inspect.Parameter]) -> Callable[[Command], Com
     return decorate
 
 
-def helps(**texts: Any) -> Callable[[Command], Command]:
+def with_help(**texts: Any) -> Callable[[Command], Command]:
     """Decorator: tell typer what each parameter is, by its help, or by its Option or Argument.
 
     By its help alone it is an argument without a default, or else an option.
@@ -85,7 +85,7 @@ def helps(**texts: Any) -> Callable[[Command], Command]:
                 of = typer.Argument if one.default is one.empty else typer.Option
                 info = of(help=info)
             listed.append(one.replace(annotation=Annotated[kinds[name], info]))
-        return asks_for(listed)(command)
+        return with_options(listed)(command)
 
     return decorate
 

@@ -6,13 +6,19 @@ from typing import Any
 
 from typer import Option
 
-from animarl_algos.cli.shared import PlainConsole, helps, named_split, refuse_overwriting, write_csv
+from animarl_algos.cli.shared import (
+    PlainConsole,
+    named_split,
+    refuse_overwriting,
+    with_help,
+    write_csv,
+)
 from animarl_envs.errors import require
 
 SUFFIXES = (".csv", ".parquet")
 
 
-@helps(
+@with_help(
     model="A run's folder, or a packaged model by name, such as fly.",
     out=Option(help="Table to write, .csv or .parquet."),
     repetitions=Option(min=1, help="Rollouts from each start."),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 from typer import Argument, Option
 
-from animarl_algos.cli.shared import PlainConsole, helps, load, named_split
+from animarl_algos.cli.shared import PlainConsole, load, named_split, with_help
 from animarl_algos.runs.run_settings import environment_options
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -35,7 +35,7 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
 """From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
 
 
-@helps(
+@with_help(
     env=Argument(help="Environment id, such as AnimaRL/Newt-v0; by default that of --model."),
     model="The trained policy: a run's folder, or a packaged model by name, such as fly.",
     out="Clip to write, .gif or .mp4; without it, a window opens.",

@@ -137,7 +137,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
     def make_q_net(self) -> StackedQNetwork:
         """Return a freshly initialised network of the constructor's arguments."""
-        network = {k: v for k, v in self._arguments.items() if k not in OF_TRAINING}
+        network = {k: v for k, v in self._arguments.items() if k not in TRAINING_ONLY_SETTINGS}
         return StackedQNetwork(
             network.pop("individuals"),
             int(np.prod(self.observation_space.shape or ())),
@@ -288,7 +288,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         return spaces_ | rule | self._arguments
 
 
-OF_TRAINING = field_types(PolicySettings).keys() - field_types(NetworkSettings).keys()
+TRAINING_ONLY_SETTINGS = field_types(PolicySettings).keys() - field_types(NetworkSettings).keys()
 
 
 class MlpPolicy(GruPolicy):

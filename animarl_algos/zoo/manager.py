@@ -41,7 +41,7 @@ MOST_BETWEEN = 25_000
 """Steps of the world; rl_zoo3's own default, longer than many a run."""
 UNSET_STEPS = -1
 """rl_zoo3's ``--n-timesteps`` where the user gives none: those of the preset."""
-OF_TRAINING = {
+TRAINING_ONLY_OPTIONS = {
     "copies": "give -params n_envs:16",
     "split": "it learns from train and is scored on val",
 }
@@ -95,7 +95,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         found = learner_preset(self.algo, self.env_name.gym_id, self.preset, overrides, config=file)
         given, options = self._eval_env_kwargs_args or {}, dict(self.env_kwargs)
         if self.species is not None:
-            for name, instead in OF_TRAINING.items():
+            for name, instead in TRAINING_ONLY_OPTIONS.items():
                 if name in options | given:
                     raise InputError(f"--env-kwargs {name}: training sets it itself: {instead}")
             options = found.env_kwargs | options

@@ -13,7 +13,7 @@ from recordings import CHASER, PREY, dogs, search
 
 import animarl_envs
 import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
-from animarl_algos.cli.describing import found_by_itself
+from animarl_algos.cli.describing import automatic_decisions
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
@@ -109,7 +109,7 @@ def test_a_wall_stands_where_nobody_was_recorded_beyond_it(every: int, walled: b
     beyond[::every, 0] = (1.05 * demos.arena.size, 0.0)
     seen = replace(demos, positions=beyond)
     assert species_of(seen, fit=(CHASER, PREY)).arena.rebound is walled
-    assert ("no wall stands there" in " ".join(found_by_itself(seen))) is not walled
+    assert ("no wall stands there" in " ".join(automatic_decisions(seen))) is not walled
 
 
 def test_several_thrusts_see_their_past_and_time_is_seen_where_episodes_began_apart() -> None:

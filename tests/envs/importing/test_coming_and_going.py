@@ -10,7 +10,7 @@ from commands import animarl
 from recordings import write_tracks
 from refusals import refused, refuses
 
-from animarl_algos.cli.describing import found_by_itself
+from animarl_algos.cli.describing import automatic_decisions
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read_tracks
 from animarl_envs.locomotion import Locomotion
@@ -85,7 +85,7 @@ def test_of_a_group_that_comes_and_goes_pieces_have_those_who_stay(tmp_path: Pat
     # How much of what was tracked is used is known, and said.
     used = len(demos) * 12 * demos.num_individuals / (16 * (120 - 7))
     assert demos.provenance["share_used"] == pytest.approx(used)
-    said = " ".join(found_by_itself(demos))
+    said = " ".join(automatic_decisions(demos))
     assert f"nothing is seen of the others ({100 * used:.0f} % of what was tracked is used)" in said
 
 
@@ -106,7 +106,9 @@ def test_tracks_that_are_too_short_are_said(tmp_path: Path) -> None:
     rows = [f"0,{f},{f / 10},{f % 7}" for f in range(200) if f < 100 or f % 3]
     demos = follow(TEN_HERTZ, [table(tmp_path, "blinking", rows)])
     assert demos.provenance["share_used"] == pytest.approx(100 / len(rows), abs=0.02)
-    assert "of what was tracked is used, as recordings are cut" in " ".join(found_by_itself(demos))
+    assert "of what was tracked is used, as recordings are cut" in " ".join(
+        automatic_decisions(demos)
+    )
 
 
 def test_of_a_group_one_animal_is_described_for_all(tmp_path: Path) -> None:
