@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @cache
 def _homes() -> dict[str, str]:
-    """The module of every public name.
+    """Return the module of every public name.
 
     Those of the learners are the classes of the registry, which is read and not run: that would
     load all that learns.

@@ -251,7 +251,7 @@ def plot_command(file: str, out: Path) -> None:
 
 
 def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstrations:
-    """The demonstrations of two files or more, in their order.
+    """Join the demonstrations of two files or more, in their order.
 
     ``conditions`` are those of each file, such as ``0,1`` or ``control,drug``; by default those of
     their episodes. Raises InputError if the sets do not fit together, or conditions are not one for
@@ -281,7 +281,7 @@ def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstratio
 
 
 def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
-    """What a careful eye would look at again, in sentences."""
+    """Return sentences about episodes and splits that should be looked at again."""
     found = []
     for name in demos.individuals:
         top = np.array([row[f"top_speed_{name}"] for row in rows])

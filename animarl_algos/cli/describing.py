@@ -436,4 +436,5 @@ def show_rows(title: str, rows: list[Row]) -> None:
 
 
 def wide_console() -> PlainConsole:
+    """Return a console in which tables have room."""
     return PlainConsole(least_width=100)

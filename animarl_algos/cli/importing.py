@@ -161,7 +161,7 @@ def _refuse_beside_finished(file: Path, context: typer.Context) -> None:
 
 
 def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
-    """The recipe: the saved one or the reader's, with what was given over it."""
+    """Return the saved recipe or the reader's, with the given options over it."""
     recipe, target = given["recipe"], given["target"]
     base = ImportRecipe.load(recipe) if recipe is not None else default_recipe(reader)
     unsaid = recipe is None and target is None and given["pursuer"] is None

@@ -43,7 +43,7 @@ class Place(NamedTuple):
     app: str = ""
 
     def summary(self) -> str:
-        """What the function's docstring says first, read off the source."""
+        """Return the first line of the function's docstring, read from the source."""
         source = files("animarl_algos.cli") / f"{self.module}.py"
         for node in ast.parse(source.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.FunctionDef) and node.name == self.function:
@@ -51,7 +51,7 @@ class Place(NamedTuple):
         raise LookupError(f"{self.module} has no function {self.function}")
 
     def load(self, name: str) -> Any:
-        """The command itself."""
+        """Return the command itself."""
         module = import_module(f"animarl_algos.cli.{self.module}")
         if self.app:
             return typer.main.get_command(getattr(module, self.app))
@@ -113,7 +113,7 @@ class LazyCommands(TyperGroup):
             self.commands[name] = TyperCommand(name=name, help=place.summary())
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:
-        """The command that ``args`` begin with, loaded."""
+        """Return the command that ``args`` begin with, loaded."""
         name, listed, rest = super().resolve_command(ctx, args)
         return name, None if listed is None else COMMANDS[str(name)].load(str(name)), rest
 
@@ -134,7 +134,7 @@ def animarl() -> None:
 
 
 def say_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """A warning as one line, without the place in the source that Python would add."""
+    """Print a warning as one line, without the place in the source that Python would add."""
     sentence = printable(" ".join(str(message).split()))
     print(f"Warning: {sentence}", file=sys.stderr)
 

@@ -257,20 +257,20 @@ def _open(given: dict[str, Any]) -> Run:
         overrides["env_kwargs"] = {**worlds, "neighbours": given["neighbours"]}
     if given["policy"] is not None:
         overrides["policy"] = given["policy"]
-    told = {k: v for k, v in given.items() if k in field_types(RunSettings) and v is not None}
-    told |= {"species": species, "overrides": overrides}
+    stated = {k: v for k, v in given.items() if k in field_types(RunSettings) and v is not None}
+    stated |= {"species": species, "overrides": overrides}
     if given["env"] is not None and species != CUSTOM:
-        told.setdefault("fit_method", "species")
-    learner = RunSettings.of({"steps": 1} | told).learner()
+        stated.setdefault("fit_method", "species")
+    learner = RunSettings.of({"steps": 1} | stated).learner()
     preset = pipeline_settings(environment_id(species), given["preset"])
     preset |= {"steps": learner.n_timesteps, "copies": learner.n_envs}
     return pipeline.open_run(
-        RunSettings.of(preset | told), given["out"], shared.command_line(), demos
+        RunSettings.of(preset | stated), given["out"], shared.command_line(), demos
     )
 
 
 def _refuse_beside_resume(context: typer.Context) -> None:
-    """A resumed run has its settings: only ``--steps`` and ``--device`` go with ``--resume``."""
+    """Refuse options other than ``--steps`` and ``--device`` beside ``--resume``."""
     written = {"file": "FILE", "settings": "--set"}
     for name in context.params:
         source = context.get_parameter_source(name)

@@ -39,7 +39,7 @@ class PlainConsole(Console):
         self.width = max(self.width, least_width)
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """As rich's; sentences are not broken, and what cannot be printed is written out."""
+        """Print without wrapping sentences; escape unprintable characters."""
         if objects and all(isinstance(o, str) for o in objects):
             options = {"soft_wrap": True} | options
         super().print(*(printable(o) if isinstance(o, str) else o for o in objects), **options)
@@ -57,7 +57,7 @@ def option(name: str, kind: Any, default: Any, info: Any) -> inspect.Parameter:
 
 
 def with_options(parameters: Iterable[inspect.Parameter]) -> Callable[[Command], Command]:
-    """Decorator: let typer see these parameters of a command that takes ``**given``."""
+    """Decorate a command that takes ``**given``: typer sees these parameters."""
     listed = list(parameters)
 
     def decorate(command: Command) -> Command:
@@ -69,9 +69,9 @@ def with_options(parameters: Iterable[inspect.Parameter]) -> Callable[[Command],
 
 
 def with_help(**texts: Any) -> Callable[[Command], Command]:
-    """Decorator: tell typer what each parameter is, by its help, or by its Option or Argument.
+    """Decorate a command: its parameters get a help text, or typer's Option or Argument.
 
-    By its help alone it is an argument without a default, or else an option.
+    With a text alone a parameter without a default is an argument, any other an option.
     """
 
     def decorate(command: Command) -> Command:

@@ -41,10 +41,10 @@ class BoundaryCallback(BaseCallback):
         return True
 
     def at_boundary(self) -> None:
-        """Called by the learner between updates and before each offline epoch."""
+        """Do something between updates and before each offline epoch; the learner calls it."""
 
     def release(self) -> None:
-        """Called by the learner when ``learn`` ends, also after an error or an interruption."""
+        """Clean up when ``learn`` ends, also after an error or an interruption."""
 
 
 class CheckpointCallback(BoundaryCallback):
@@ -122,6 +122,7 @@ class ProgressBar(BoundaryCallback):
         return True
 
     def release(self) -> None:
+        """End the line of the bar."""
         if self._bar is not None:
             self._bar.close()
 
@@ -142,9 +143,7 @@ def with_progress_bar(callback: MaybeCallback) -> list[BaseCallback]:
 
 
 class IndividualReturns(NamedTuple):
-    """What :func:`evaluate_individuals` found: ``returns`` ``(episodes, K)`` in the order of
-    ``individuals``, and ``lengths`` ``(episodes,)`` [steps].
-    """
+    """Returns ``(episodes, K)`` in the order of ``individuals``, and lengths [steps]."""
 
     individuals: tuple[str, ...]
     returns: NDArray[np.float64]
@@ -250,7 +249,7 @@ class EvaluateIndividuals(BaseCallback):
         return True
 
     def evaluate(self) -> IndividualReturns:
-        """Evaluate now, log and keep what was found."""
+        """Evaluate now, log and keep the returns."""
         policy = self.model.policy
         acting = policy.random_state  # training goes on with the draws it would have had
         if self.seed is not None:

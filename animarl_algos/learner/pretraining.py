@@ -34,7 +34,7 @@ from animarl_envs.errors import InputError
 
 Weights = dict[str, torch.Tensor]
 Figures = dict[str, float]
-FEW = 4  # names that a warning lists
+MOST_NAMES = 4  # that a warning lists
 LOG_EVERY = 30.0  # [s] between lines of progress where there is no terminal
 MOST_EPISODES = 16
 """Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
@@ -255,9 +255,11 @@ class Log:
     """Standard error where nobody watches: what a terminal writes over is a line of its own."""
 
     def write(self, text: str) -> None:
+        """Write a text, each state of the bar on a line of its own."""
         sys.stderr.write(text.replace("\r", "\n"))
 
     def flush(self) -> None:
+        """Flush the standard error."""
         sys.stderr.flush()
 
 
@@ -275,7 +277,7 @@ def shown_progress(
 
 def few_or_count(names: list[str]) -> str:
     """Return the names, or of many how many they are."""
-    return ", ".join(names) if len(names) <= FEW else f"{len(names)} individuals"
+    return ", ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} individuals"
 
 
 # -- validation -----------------------------------------------------------------------------------

@@ -70,7 +70,7 @@ def _check_frequency(value: Any) -> Any:
 
 
 def _check_rate(value: Any) -> Any:
-    """A number, ``lin_<number>``, or a schedule of the remaining progress."""
+    """Check a number, ``lin_<number>``, or a schedule of the remaining progress."""
     if isinstance(value, str) and value.startswith(LINEAR):
         linear_schedule(value)
         return value

@@ -178,8 +178,8 @@ class StackedQNetwork(nn.Module):
         **settings: Any,
     ) -> None:
         super().__init__()
-        asked = NetworkSettings(**settings)
-        encoded_flag = asked.condition_input == "encoder"
+        network = NetworkSettings(**settings)
+        encoded_flag = network.condition_input == "encoder"
         if not individuals or len(set(individuals)) != len(individuals):
             raise InputError(f"individuals={tuple(individuals)}: give one or more distinct names")
         if condition_flag and observation_size < 2:
@@ -187,7 +187,7 @@ class StackedQNetwork(nn.Module):
                 "condition_flag=True needs an observation of at least two components, the last of "
                 f"them the flag, but there is {observation_size}: use the condition-flag wrapper"
             )
-        if asked.skip and not recurrent:
+        if network.skip and not recurrent:
             raise InputError(
                 "skip=True leads past a memory and this network has none: use GruPolicy, or leave "
                 "skip out"
@@ -199,27 +199,27 @@ class StackedQNetwork(nn.Module):
             )
         self.individuals = tuple(individuals)
         self.num_actions = num_actions
-        self.num_quantiles = asked.n_quantiles or 1
-        self.units, self.depth = units, depth = asked.hidden, asked.depth
+        self.num_quantiles = network.n_quantiles or 1
+        self.units, self.depth = units, depth = network.hidden, network.depth
         self.recurrent = recurrent
-        self.skip, self.dropout, self.shared = asked.skip, asked.dropout, asked.shared
-        sees_previous = recurrent if asked.previous_action is None else asked.previous_action
+        self.skip, self.dropout, self.shared = network.skip, network.dropout, network.shared
+        sees_previous = recurrent if network.previous_action is None else network.previous_action
         self.previous_action = sees_previous
         self.flag_in_head = condition_flag and not encoded_flag
-        self.reversal = asked.reversal
+        self.reversal = network.reversal
         self.sensed = observation_size - self.flag_in_head
-        named = [individuals[0]] * len(individuals) if asked.shared else individuals
+        named = [individuals[0]] * len(individuals) if network.shared else individuals
         generators = individual_generators(named, seed)
         encoder_inputs = self.sensed + (num_actions if sees_previous else 0)
         for layer in range(depth):
             inputs = units if layer else encoder_inputs
             self.add_module(f"encoder_{layer + 1}", StackedLinear(inputs, units, generators))
         self.gru = StackedGRU(units, units, generators) if recurrent else None
-        seen = units * (1 + asked.skip)
-        self.gated = self.flag_in_head and not asked.head_layers
+        seen = units * (1 + network.skip)
+        self.gated = self.flag_in_head and not network.head_layers
         read = seen * (1 + self.gated) + self.flag_in_head
         self.dueling = DuelingHead(
-            read, units * asked.head_layers, num_actions, self.num_quantiles, generators
+            read, units * network.head_layers, num_actions, self.num_quantiles, generators
         )
         self.treatment: nn.Sequential | None = None
         if treatment_head:

@@ -80,18 +80,18 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 f"action space {action_space} is not Discrete starting at 0: these learners choose "
                 "among numbered actions"
             )
-        asked = PolicySettings(**settings)
-        optimizer_class = asked.optimizer_class or torch.optim.Adam
-        fused = {"fused": True} if asked.optimizer_class is None else {}  # in one call
+        own = PolicySettings(**settings)
+        optimizer_class = own.optimizer_class or torch.optim.Adam
+        fused = {"fused": True} if own.optimizer_class is None else {}  # in one call
         super().__init__(
             observation_space,
             action_space,
             optimizer_class=optimizer_class,
-            optimizer_kwargs=fused | (asked.optimizer_kwargs or {}),
+            optimizer_kwargs=fused | (own.optimizer_kwargs or {}),
         )
         self.individuals = tuple(individuals)
         self.num_actions = int(action_space.n)
-        self.distribution = ValueDistribution(asked.n_quantiles, asked.td_loss)
+        self.distribution = ValueDistribution(own.n_quantiles, own.td_loss)
         self.acting = acting or Acting.epsilon_greedy(0.0)
         self._arguments = {
             "individuals": self.individuals,

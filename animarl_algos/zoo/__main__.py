@@ -59,28 +59,28 @@ class Parser(argparse.ArgumentParser):
         settings = "Settings of zoo_configs/<algo>.yml"
         self.add_argument("--preset", choices=PRESETS, default="default", help=settings)
         self.set_defaults(algo="dqdil-pt", eval_freq=manager.EVAL_BY_LENGTH)
-        asked: argparse.Namespace = super().parse_args(*args, **kwargs)
-        for package in asked.gym_packages:
+        options: argparse.Namespace = super().parse_args(*args, **kwargs)
+        for package in options.gym_packages:
             importlib.import_module(package)
-        manager.species_of_id(asked.env)
-        if asked.device != "auto":
-            check_device(asked.device)
-        model = Path(asked.trained_agent)
-        if asked.trained_agent and not (model.suffix == ".zip" and model.is_file()):
+        manager.species_of_id(options.env)
+        if options.device != "auto":
+            check_device(options.device)
+        model = Path(options.trained_agent)
+        if options.trained_agent and not (model.suffix == ".zip" and model.is_file()):
             raise InputError(f"{model}: there is no such zip file: name a model that 'train' saved")
-        if asked.track and importlib.util.find_spec("wandb") is None:
+        if options.track and importlib.util.find_spec("wandb") is None:
             raise InputError("--track needs Weights & Biases: pip install wandb, or leave it out")
-        if asked.trial_id is not None:
+        if options.trial_id is not None:
             raise InputError("--trial-id is not supported: give the trial's settings by -params")
         for name in ("eval_episodes", "n_eval_envs", "n_trials", "n_timesteps"):
-            if getattr(asked, name) != manager.UNSET_STEPS or name != "n_timesteps":
-                check_value(f"--{name.replace('_', '-')}", getattr(asked, name), Count)
-        check_value("--n-evaluations", asked.n_evaluations, Count | None)
-        if asked.optimize_hyperparameters:
-            database = Path(asked.log_folder) / asked.algo / "optuna.db"
-            asked.storage = asked.storage or f"sqlite:///{database}"
-            asked.study_name = asked.study_name or f"{asked.algo} {asked.env}"
-        return asked
+            if getattr(options, name) != manager.UNSET_STEPS or name != "n_timesteps":
+                check_value(f"--{name.replace('_', '-')}", getattr(options, name), Count)
+        check_value("--n-evaluations", options.n_evaluations, Count | None)
+        if options.optimize_hyperparameters:
+            database = Path(options.log_folder) / options.algo / "optuna.db"
+            options.storage = options.storage or f"sqlite:///{database}"
+            options.study_name = options.study_name or f"{options.algo} {options.env}"
+        return options
 
 
 class StoreData(argparse.Action):
