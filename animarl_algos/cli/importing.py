@@ -55,21 +55,17 @@ FILES: list[inspect.Parameter] = [
         "source",
         str | None,
         None,
-        typer.Option(
-            help="Reader; see 'animarl data sources'. Default: by a look.",
-        ),
+        "Reader; see 'animarl data sources'. Default: by a look.",
     ),
     option(
         "readers",
         Path | None,
         None,
-        typer.Option(
-            help="A .py file of readers of your own; it is run.",
-        ),
+        "A .py file of readers of your own; it is run.",
     ),
-    option("out", Path | None, None, typer.Option(help="Demonstrations to write (.npz).")),
-    option("recipe", Path | None, None, typer.Option(help="Repeat this saved recipe (.yaml).")),
-    option("dry_run", bool, False, typer.Option(help="Only say what is understood.")),
+    option("out", Path | None, None, "Demonstrations to write (.npz)."),
+    option("recipe", Path | None, None, "Repeat this saved recipe (.yaml)."),
+    option("dry_run", bool, False, "Only say what is understood."),
 ]
 
 

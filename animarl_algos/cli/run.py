@@ -33,10 +33,8 @@ OTHERS = {
         "env",
         str | None,
         None,
-        typer.Option(
-            help="Environment id, such as AnimaRL/Fly-v0: learn in this world as it is, with the "
-            "locomotion of its species; --species fits the locomotion to FILE.",
-        ),
+        "Environment id, such as AnimaRL/Fly-v0: learn in this world as it is, with the "
+        "locomotion of its species; --species fits the locomotion to FILE.",
     ),
     "folds": shared.option(
         "folds",
@@ -53,34 +51,26 @@ OTHERS = {
         "neighbours",
         int | None,
         None,
-        typer.Option(
-            help="Of a group without a target: how many of the others each one sees, the nearest.",
-        ),
+        "Of a group without a target: how many of the others each one sees, the nearest.",
     ),
     "out": shared.option(
         "out",
         Path,
         Path("runs/run"),
-        typer.Option(
-            help="Run folder; an unfinished run in it is continued.",
-        ),
+        "Run folder; an unfinished run in it is continued.",
     ),
     "policy": shared.option(
         "policy",
         str | None,
         None,
-        typer.Option(
-            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
-        ),
+        "GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
     ),
     "primary": shared.option("primary", list[str] | None, None, PRIMARY),
     "resume": shared.option(
         "resume",
         Path | None,
         None,
-        typer.Option(
-            help="Continue this run folder, up to --steps.",
-        ),
+        "Continue this run folder, up to --steps.",
     ),
     "settings": shared.option(
         "settings",

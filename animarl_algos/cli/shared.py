@@ -49,7 +49,8 @@ class PlainConsole(Console):
 
 
 def option(name: str, kind: Any, default: Any, info: Any) -> inspect.Parameter:
-    """Return a parameter as typer reads it; ``info`` is typer's Option or Argument."""
+    """Return a parameter as typer reads it; ``info`` is its help, or typer's Option or Argument."""
+    info = typer.Option(help=info) if isinstance(info, str) else info
     default = inspect.Parameter.empty if default is ... else default
     annotation = Annotated[kind, info]
     keyword = inspect.Parameter.KEYWORD_ONLY
