@@ -243,8 +243,8 @@ def test_a_file_that_is_its_own_base_is_refused(
 
 def test_a_tasks_section_holds_for_the_policy_it_names() -> None:
     named, other = DQN(env="CartPole-v1"), DQN("GruPolicy", "CartPole-v1", max_episode_steps=500)
-    assert (named.sequence_length, named.gamma) == (1, 0.99)
-    assert (other.sequence_length, other.gamma) == (None, 0.9)
+    assert (named.settings.sequence_length, named.gamma) == (1, 0.99)
+    assert (other.settings.sequence_length, other.gamma) == (None, 0.9)
 
 
 FOREIGN = "MountainCar-v0"

@@ -224,7 +224,7 @@ def test_a_checkpoint_may_be_named_itself_and_is_no_damaged_one_where_it_may_not
     load_checkpoint(resumed, file)
     assert torch.equal(weights(resumed), weights(model))
     monkeypatch.setattr(Path, "open", forbidden)
-    refuses(r"mine.npz: it cannot be read: see to its", load_checkpoint, model, file)
+    refuses(r"mine.npz: it cannot be read: check its", load_checkpoint, model, file)
 
 
 def kill(run: str, folder: Path, boundaries: int, delay: float) -> None:
