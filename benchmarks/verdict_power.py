@@ -115,7 +115,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--runs", type=int, default=60, help="of perfect simulators")
     parser.add_argument("--judged", type=int, default=10, help="of these with classifiers")
-    parser.add_argument("--fault-runs", type=int, default=12)
+    parser.add_argument("--fault-runs", type=int, default=10)
     parser.add_argument("--starts", type=int, nargs="*", default=[10, 20, 50])
     parser.add_argument(
         "--many",

@@ -102,9 +102,11 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--judge", action="store_true", help="only evaluate them once more")
     given = parser.parse_args()
-    names = given.species or packaged_names()
     if given.judge:
-        return judge(names)
+        return judge(
+            given.species or sorted(file.parent.name for file in FOLDER.glob(f"*/{METRICS}"))
+        )
+    names = given.species or packaged_names()
     recipes, seeds = given.recipe or preset.recipes, given.seed or preset.seeds
     make(given.out, names, recipes, seeds, given.processes)
 
