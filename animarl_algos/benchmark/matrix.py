@@ -30,7 +30,7 @@ from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 from animarl_envs.files import is_part, read_yaml
 from animarl_envs.importing.readers import read
-from animarl_envs.settings import Checked, Count, CountOrZero
+from animarl_envs.settings import Checked, Count, CountOrZero, check_value, field_types
 from animarl_envs.species import CUSTOM, SPECIES
 
 FOLDER = resources.files("zoo_configs") / "benchmark"
@@ -93,7 +93,9 @@ class Matrix(Checked):
         if not there:
             raise InputError("species is empty: name one at least")
         for key in ("species", "recipes", "references", "seeds"):
-            listed = list(getattr(self, key))
+            checked = check_value(key, getattr(self, key), field_types(Matrix)[key])
+            object.__setattr__(self, key, checked)
+            listed = list(checked)
             if twice := [one for one in listed if listed.count(one) > 1]:
                 raise InputError(f"{key} names {twice[0]!r} twice: name it once")
         if not self.seeds:

@@ -67,7 +67,7 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
-    "animarl_algos.benchmark": 10_310,
+    "animarl_algos.benchmark": 10_340,
     "animarl_algos.cli": 16_800,
     "animarl_algos.data": 8_560,
     "animarl_algos.evaluation": 40_450,

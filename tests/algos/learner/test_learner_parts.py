@@ -317,7 +317,9 @@ def test_individuals_together_are_individuals_alone(policy: str) -> None:
         env.individuals = (who,)
         toys.VecEnv.__init__(env, 2, env.observation_space, env.action_space)
         settings = SETTINGS | phase | {"offline_batch_size": 64}
-        settings |= {name: getattr(together, name) for name in ("policy_kwargs", "offline_kwargs")}
+        settings |= {
+            name: getattr(together.settings, name) for name in ("policy_kwargs", "offline_kwargs")
+        }
         alone = SoftBC(policy, env, demonstrations=demonstrations(individuals=(who,)), **settings)
         assert alone.pretrain().best_epochs == progress.best_epochs[k : k + 1]
         nets = (together.policy.q_net, alone.policy.q_net)

@@ -128,7 +128,7 @@ CASES = {
         "give max_episode_steps", DQN, lambda: FlattenObservation(gym.make("Blackjack-v1"))
     ),
     "unknown policy": Case(
-        "'CnnPolicy' is unknown",
+        "policy is 'CnnPolicy': choose GruPolicy or MlpPolicy",
         lambda _, *env, **more: DQN("CnnPolicy", *env, **more),
         lambda: toys.Pair(2),
     ),

@@ -133,7 +133,7 @@ def test_action_values_follow_the_recorded_path(focal: str | None, run: Run) -> 
     """The policy's memory goes on, its own last actions are the recorded ones, it sees the flag."""
     counter, layout = StepCounter(), SimpleNamespace(condition_flag=True)
     loaded = load_run(run.path)
-    vars(loaded)["settings"] = loaded.settings.model_copy(update={"focal": focal})
+    vars(loaded)["settings"] = replace(loaded.settings, focal=focal)
     vars(loaded)["policy"] = SimpleNamespace(policy=counter, layout=layout)
     one = loaded.demos.select(split="test").select(episodes=[1])
     columns = [2] if focal else [0, 1, 2]

@@ -57,5 +57,5 @@ def test_values_of_every_kind_are_read_or_refused(place: tuple[str, ...], table:
 
 def test_the_recipe_itself_is_followed_and_empty_options_are_refused(table: Path) -> None:
     assert len(follow(ImportRecipe.from_dict(BASE), [table])) > 0
-    with pytest.raises(InputError, match=r"r\.yaml: options is None: it should be a valid dict"):
+    with pytest.raises(InputError, match=r"r\.yaml: options is None: give a table"):
         ImportRecipe.from_dict({"options": None}, "r.yaml")
