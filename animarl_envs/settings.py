@@ -69,6 +69,9 @@ class Checked:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for name, hint in field_types(type(self)).items():
+            if get_origin(hint) is tuple and get_args(hint)[1:] == (...,):
+                object.__setattr__(self, name, check_value(name, getattr(self, name), hint))
 
     @classmethod
     def check(cls, given: Mapping[str, Any], place: str = "") -> dict[str, Any]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_algos.runs.pipeline import check_run, with_recipe
 from animarl_algos.runs.run_files import versions, write_json
-from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
+from animarl_algos.runs.run_settings import Preset, RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
@@ -30,7 +30,7 @@ from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 from animarl_envs.files import is_part, read_yaml
 from animarl_envs.importing.readers import read
-from animarl_envs.settings import Checked, Count, CountOrZero, check_value, field_types
+from animarl_envs.settings import Checked, Count, CountOrZero
 from animarl_envs.species import CUSTOM, SPECIES
 
 FOLDER = resources.files("zoo_configs") / "benchmark"
@@ -64,7 +64,7 @@ class Matrix(Checked):
     """Of each learner."""
     references: Names = REFERENCES
     """The rows beside them."""
-    preset: Literal["default", "paper"] = "default"
+    preset: Preset = "default"
     """Of ``zoo_configs``, for all recipes."""
     steps: Count | None = None
     """World steps of recipes that learn online; by default their preset's."""
@@ -93,9 +93,7 @@ class Matrix(Checked):
         if not there:
             raise InputError("species is empty: name one at least")
         for key in ("species", "recipes", "references", "seeds"):
-            checked = check_value(key, getattr(self, key), field_types(Matrix)[key])
-            object.__setattr__(self, key, checked)
-            listed = list(checked)
+            listed = list(getattr(self, key))
             if twice := [one for one in listed if listed.count(one) > 1]:
                 raise InputError(f"{key} names {twice[0]!r} twice: name it once")
         if not self.seeds:

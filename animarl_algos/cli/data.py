@@ -12,7 +12,14 @@ from rich.table import Table
 from animarl_algos.cli.describing import hints, report, show, wide_console
 from animarl_algos.cli.evaluate import MEASURE, PRIMARY, TOLERANCE
 from animarl_algos.cli.main import SETTINGS
-from animarl_algos.cli.shared import SOURCE, load, refuse_overwriting, with_help, write_csv
+from animarl_algos.cli.shared import (
+    SOURCE,
+    load,
+    refuse_overwriting,
+    track_rows,
+    with_help,
+    write_csv,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.joining import join
@@ -213,7 +220,8 @@ def convert_command(file: str, out: Path, source: str | None = None) -> None:
     if out.suffix == ".npz":
         demos.save(out)
     elif out.suffix == ".csv":
-        write_long_table(demos, out)
+        heads = [{"recording": f"{name}/{i}"} for i, name in enumerate(demos.recording.tolist())]
+        write_csv(out, track_rows(demos, heads))
     elif out.suffix == "":
         export_minari(demos, out)
     else:
@@ -310,15 +318,3 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
             f"{torn[0]} first"
         )
     return hints(demos) + found
-
-
-def write_long_table(demos: Demonstrations, out: Path) -> None:
-    """Write a row per frame and individual, as the long-table reader takes it."""
-    rows = (
-        {"recording": f"{one.recording}/{one.index}", "frame": frame, "time_s": frame * one.dt}
-        | {"id": who, "x": x, "y": y}
-        for one in demos
-        for frame, bodies in enumerate(one.positions.tolist())
-        for who, (x, y) in zip(demos.individuals, bodies, strict=True)
-    )
-    write_csv(out, rows)

@@ -8,7 +8,7 @@ import inspect
 import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -17,8 +17,9 @@ import typer
 from rich.console import Console
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import SPLITS
+from animarl_envs.demos.episode import SPLITS, Episodes
 from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.demos.summary import RECORDED_SCALE, Unit
 from animarl_envs.errors import InputError, printable
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.readers import read
@@ -165,6 +166,22 @@ def refuse_overwriting(out: Path, *read_from: str | Path) -> None:
     for file in map(Path, read_from):
         if out.exists() and file.exists() and out.samefile(file):
             raise InputError(f"{out}: it is the file that is read: name another --out")
+
+
+def track_rows(
+    episodes: Episodes, heads: Sequence[Mapping[str, object]], unit: Unit = RECORDED_SCALE
+) -> Iterator[dict[str, object]]:
+    """Yield a row per frame and individual, as the long-table reader takes it.
+
+    ``heads`` are the first columns of each episode. Positions are in ``unit``; a physical one is
+    named by the columns (``x_cm``).
+    """
+    x, y = ("x", "y") if unit is RECORDED_SCALE else (f"x_{unit.name}", f"y_{unit.name}")
+    for number, head in enumerate(heads):
+        for frame, places in enumerate((unit.per_arena_unit * episodes.path(number)).tolist()):
+            for individual, (east, north) in zip(episodes.individuals, places, strict=True):
+                row = {"frame": frame, "time_s": frame * episodes.dt, "id": individual}
+                yield {**head, **row, x: east, y: north}
 
 
 def write_csv(out: Path, rows: Iterable[Mapping[str, object]]) -> None:

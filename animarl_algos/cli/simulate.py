@@ -1,8 +1,6 @@
 """``animarl simulate``: write simulated tracks as a table for other programs."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from typer import Option
 
@@ -10,10 +8,12 @@ from animarl_algos.cli.shared import (
     PlainConsole,
     named_split,
     refuse_overwriting,
+    track_rows,
     with_help,
     write_csv,
 )
 from animarl_envs.errors import require
+from animarl_envs.files import write_then_rename
 
 SUFFIXES = (".csv", ".parquet")
 
@@ -44,48 +44,31 @@ def simulate_command(
 
       animarl simulate fly --split all --repetitions 5 --out tracks.parquet
     """
-    require(
-        out.suffix in SUFFIXES, f"{out}: the suffix says the format: choose {' or '.join(SUFFIXES)}"
-    )
+    formats = f"{out}: the suffix says the format: choose {' or '.join(SUFFIXES)}"
+    require(out.suffix in SUFFIXES, formats)
     from animarl_algos.runs.pretrained import model_folder
     from animarl_algos.runs.run import Run
+    from animarl_envs.demos.summary import unit_of
 
-    run = Run(model_folder(model))
+    run, starts = Run(model_folder(model)), named_split(split)
     refuse_overwriting(out, run.path)
-    rows = list(_rows(run, split, repetitions, seed))
+    recordings = run.demos.select(split=starts).recording
+    rollouts = run.simulate(split=starts, repetitions=repetitions, seed=seed)
+    conditions = run.species.conditions or ("0", "1")
+    each = zip(rollouts.demo, rollouts.repetition, rollouts.condition, strict=True)
+    heads = [
+        {
+            "recording": f"simulated {recordings[start]}/{start}/{repetition}",
+            "condition": conditions[condition],
+        }
+        for start, repetition, condition in each
+    ]
+    rows = track_rows(rollouts, heads, unit_of(run.demos))
     if out.suffix == ".csv":
         write_csv(out, rows)
     else:
         import pandas as pd
 
-        from animarl_envs.files import write_then_rename
-
         with write_then_rename(out) as part:
             pd.DataFrame(rows).to_parquet(part)
-    count = len({(row["recording"], row["repetition"]) for row in rows})
-    PlainConsole().print(f"Wrote {out}: {count} rollouts, {len(rows)} rows")
-
-
-def _rows(run: Any, split: str, repetitions: int, seed: int | None) -> Iterator[dict[str, Any]]:
-    """Yield a row per frame and individual of each rollout."""
-    from animarl_envs.demos.summary import unit_of
-
-    demos = run.demos.select(split=named_split(split))
-    rollouts = run.simulate(split=named_split(split), repetitions=repetitions, seed=seed)
-    unit = unit_of(run.demos)
-    conditions = run.species.conditions or ("0", "1")
-    x, y = ((axis if " " in unit.name else f"{axis}_{unit.name}") for axis in "xy")
-    for number, start in enumerate(rollouts.demo.tolist()):
-        repetition = int(rollouts.repetition[number])
-        for frame, places in enumerate((unit.per_arena_unit * rollouts.path(number)).tolist()):
-            for name, place in zip(rollouts.individuals, places, strict=True):
-                yield {
-                    "recording": f"simulated {demos.recording[start]}/{start}/{repetition}",
-                    "condition": conditions[int(rollouts.condition[number])],
-                    "repetition": repetition,
-                    "frame": frame,
-                    "time_s": round(frame * rollouts.dt, 9),
-                    "individual": name,
-                    x: round(place[0], 6),
-                    y: round(place[1], 6),
-                }
+    PlainConsole().print(f"Wrote {out}: {len(rollouts)} rollouts")

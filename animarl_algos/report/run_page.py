@@ -49,8 +49,10 @@ def run_page(inputs: ReportInputs) -> Page:
     ]
     made = []
     if processor := inputs.machine.get("processor"):
-        moved = "the same command on others moved a share by 3 points and an AUC by .04"
-        made = [Text(f"Made on {processor}. Rounding moves a trained network: {moved}.")]
+        other = (
+            "Another processor rounds differently, so that the same command trains another network."
+        )
+        made = [Text(f"Made on {processor}. {other}")]
     return Page(
         title=inputs.title,
         kind="Simulation report",

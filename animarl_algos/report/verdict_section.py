@@ -36,7 +36,7 @@ from animarl_algos.report.words import NOTHING, Words, number, pick, with_interv
 
 MARKS = {ALIKE: "\u2248", LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
 """Signs of the words, for readers who do not see colours."""
-SHARE = "share"  # the unit of what is windows in percent
+SHARE = "share"  # the unit of what is shown in percent
 FARTHEST = 3  # rows on the terminal
 CALLED = {CEILING: "the recording itself"}
 BESIDE = {

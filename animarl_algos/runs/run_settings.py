@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 BEHAVIOUR_CLONING = "bc"
 CHOSEN, AUTO = "chosen", "auto"
 Copies = Annotated[int, Ge(1), Le(100_000)]
+Preset = Literal["paper", "default"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ class RunSettings(PipelineSettings):
     """agent, fly, newt, silkmoth, solo, shoal or custom; by default that of FILE."""
     algo: str = "soft-bc"
     """soft-bc, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."""
-    preset: Literal["paper", "default"] = "default"
+    preset: Preset = "default"
     """Settings: paper (the paper's) or default (tuned)."""
     config: str | None = None
     """YAML file to read instead of zoo_configs/ALGO.yml."""

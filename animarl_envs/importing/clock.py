@@ -37,12 +37,13 @@ class Clock:
     """The clock of a table's rows.
 
     ``rate`` is in Hz, ``frames`` are the frame numbers of the rows, ``first`` the time of frame 0
-    of each group [s].
+    of each group [s]. ``residual`` is how far times lie from their frames at most, in frames.
     """
 
     rate: float
     frames: Ints
     first: Floats
+    residual: float
 
 
 def fit_clock(
@@ -67,9 +68,9 @@ def fit_clock(
     first = np.zeros(int(group.max()) + 1)
     digit = rounding(time, unit)
     if frames is not None:
-        rate = _rate_of_frames(path, frames, time, group, place, digit)
+        rate, residual = _rate_of_frames(path, frames, time, group, place, digit)
         _check_unit(path, unsaid, rate, True)
-        return Clock(rate, frames, first)
+        return Clock(rate, frames, first, residual)
     first += np.inf
     np.minimum.at(first, group, time)
     since = time - first[group]
@@ -79,7 +80,7 @@ def fit_clock(
         numbers = np.rint(since * tried)
         off = np.abs(since * tried - numbers)
         if tried > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
-            return Clock(tried, numbers.astype(np.int64), first)
+            return Clock(tried, numbers.astype(np.int64), first, float(off.max()))
     raise InputError(
         f"{path}: the time of {place(int(off.argmax()))} lies between frames at {tried:g} Hz: "
         "correct it, or give the right --option fps=..."
@@ -115,8 +116,8 @@ def _rates_of_steps(path: Path, since: Floats, group: Ints, digit: float) -> lis
 
 def _rate_of_frames(
     path: Path, frames: Ints, time: Floats, group: Ints, place: Place, digit: float
-) -> float:
-    """Return the frame rate [Hz] of rows with a frame number and a time [s] each.
+) -> tuple[float, float]:
+    """Return the frame rate [Hz] of rows with a frame number and a time [s] each, and the residual.
 
     A line through all frames with a new time gives it, since single steps of rounded times are too
     long or too short. Steps that even rounding does not explain, as of a paused camera, cut it.
@@ -142,6 +143,7 @@ def _rate_of_frames(
             f"{path}: its times do not keep step with its frame numbers: correct them, or give "
             "--option fps=... to count frames alone"
         )
+    residual = float((off[use] / usual).max())
     cuts = ~even
     cuts[1:] |= np.diff(group[before]) != 0
     line, row = np.cumsum(cuts, dtype=np.int64)[even & rising], after[even & rising]
@@ -150,8 +152,8 @@ def _rate_of_frames(
     whole, coarse = _whole(slope), digit * slope > 1
     fits = abs(count / whole - lasted) <= digit * (int(group.max()) + 1)
     if fits and (not coarse or np.abs(x / whole - y).max() <= 1 / whole):
-        return whole
-    return _rounded(slope if coarse else count / lasted)
+        return whole, residual
+    return _rounded(slope if coarse else count / lasted), residual
 
 
 def _centred(values: Floats, line: Ints) -> Floats:

@@ -81,8 +81,7 @@ def test_modules_of_extras_are_of_their_packages() -> None:
                 elif isinstance(node, ast.ImportFrom) and node.module:
                     imported.add(node.module.partition(".")[0])
     core = {canonical(re.split(r"[<>=]", line)[0]) for line in CORE}
-    core |= {"animarl-envs", "animarl-algos", "pydantic-core", "annotated-types"}
-    core |= {"typing-extensions"}
+    core |= {"animarl-envs", "animarl-algos", "pydantic-core", "typing-extensions"}
     foreign = {name for name in imported if canonical(name) not in core}
     assert foreign - set(sys.stdlib_module_names) <= EXTRA_MODULES
 

@@ -254,7 +254,7 @@ def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
         ({"references": ["dead"]}, "references names 'dead'"),
         ({"episodes": {"dev": 1}}, "episodes names 'dev'"), ({"repetitions": 0}, "at least 1"),
         ({"settings": {"bcc": {}}}, "algorithm 'bcc' is unknown"),
-        ({"preset": "best"}, "preset is 'best': choose "),
+        ({"preset": "best"}, "preset is 'best': choose paper or default"),
         ({"settings": {"bc": 3}}, "settings of bc is 3"),
         ({"settings": {"dqn": {"learning_speed": 3}}}, "'dqn', which is not among the recipes"),
         ({"settings": [1]}, "give a table"), ({"files": {"agent": "x.npz"}}, "no packaged species"),

@@ -16,11 +16,13 @@ from commands import Done, refused, succeeded
 from html_page import Page
 from small_runs import few, made
 
+from animarl_algos.cli.shared import track_rows, write_csv
 from animarl_algos.evaluation import Rollouts
 from animarl_algos.evaluation.comparison import TABLES
 from animarl_algos.evaluation.prepared import path_lengths
 from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run import Run
+from animarl_envs.demos.summary import Unit
 from animarl_envs.importing.readers.registry import read_tracks
 
 METHODS = ("dqcil-pt", "dqdil-pt")
@@ -224,6 +226,11 @@ def test_simulated_tracks_are_written_as_import_reads_them(
     rollouts = Run(model_folder("fly")).simulate(repetitions=2)
     assert len(table) == rollouts.positions[..., 0].size
     np.testing.assert_allclose(table[["x", "y"]], rollouts.positions.reshape(-1, 2), atol=1e-6)
-    tracks = read_tracks(tmp_path / "tracks.csv")
-    assert {(one.frame_rate, len(one.individuals)) for one in tracks} == {(10.0, 3)}
+    heads = [{"recording": str(number)} for number in range(len(rollouts))]
+    write_csv(tmp_path / "cm.csv", track_rows(rollouts, heads, Unit("cm", 40.0)))
+    for file, unit, size in (("tracks.csv", "px", 1.0), ("cm.csv", "cm", 40.0)):
+        tracks = read_tracks(tmp_path / file)
+        assert {(one.frame_rate, one.unit) for one in tracks} == {(10.0, unit)}
+        place = tracks[0].positions[0, :, 0] / size
+        np.testing.assert_allclose(place, rollouts.path(0)[0], atol=1e-6)
     refused(animarl("simulate", "fly", "--out", "a.txt"), "choose .csv or .parquet")

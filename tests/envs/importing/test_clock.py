@@ -36,6 +36,7 @@ def test_clock_keeps_slow_periods(period: float, numbered: bool) -> None:
     found = fit_clock(PATH, FRAMES * period, ONE, place, FRAMES if numbered else None)
     assert 1 / found.rate == pytest.approx(period, rel=1e-12)
     np.testing.assert_array_equal(found.frames, FRAMES)
+    assert found.residual <= 1e-6
 
 
 def test_clock_passes_a_pause_of_the_camera() -> None:
