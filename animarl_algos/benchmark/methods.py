@@ -45,6 +45,7 @@ from animarl_algos.evaluation.teams import roll_out_teams, teams_of
 from animarl_algos.learner.callbacks import TERMINATED
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_world import training_options
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
@@ -55,8 +56,6 @@ from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds import demonstration_observations, make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -349,7 +348,7 @@ class NearestSegment:
         going = self._actions[:, 0] >= 0  # no last frame
         condition = np.repeat(train.condition, train.lengths)
         # By individual and condition: the tree, its frames among all, the scale of each input.
-        self._libraries: dict[tuple[int, int], tuple[cKDTree, Ints, NDArray[np.float64]]] = {}
+        self._libraries: dict[tuple[int, int], tuple[cKDTree, Ints, Floats]] = {}
         for who in range(seen.shape[1]):
             spread = seen[going, who].std(axis=0)
             scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)

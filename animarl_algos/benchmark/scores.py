@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.benchmark.methods import RECORDINGS, recordings_of_other_starts
 from animarl_algos.evaluation import statistics
@@ -40,14 +39,13 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES, Draws, Interval, covers
 from animarl_algos.evaluation.verdict import verdict
 from animarl_algos.evaluation.verdict_rows import ALIKE, COLOURS
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError, printable
 from animarl_envs.species import get_species
-
-Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
 SLACK = 0.02  # of the contact radius, for rounded positions of a submission

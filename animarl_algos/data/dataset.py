@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from animarl_algos.losses.terms import Recipe, ScoredActionsTemporalDifference
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
+from animarl_envs.array_types import Bools, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.worlds import Mirror
 
@@ -82,9 +83,9 @@ class OfflineDataset:
         action_penalties: NDArray[np.floating] | None = None,
         label_shares: NDArray[np.floating] | None = None,
         mirror: Mirror | None = None,
-        terminated: NDArray[np.bool_] | None = None,
+        terminated: Bools | None = None,
         condition: NDArray[Any] | None = None,
-        warmup: NDArray[np.bool_] | None = None,
+        warmup: Bools | None = None,
         names: Sequence[str] | None = None,
         source: str = "demonstrations",
     ) -> None:
@@ -99,7 +100,7 @@ class OfflineDataset:
         self.names = tuple(names or (f"individual_{i}" for i in range(k)))
         if len(set(self.names)) != k:
             raise InputError(f"{source}: names {self.names} do not name {k} individuals")
-        size: NDArray[np.int64] = np.array(lengths, dtype=np.int64)
+        size: Ints = np.array(lengths, dtype=np.int64)
         if size.size == 0 or size.min() < 2 or size.sum() != frames:
             raise InputError(
                 f"{source}: {size.size} episodes of {size.sum()} frames in all do not fit "
@@ -164,9 +165,7 @@ class OfflineDataset:
             )
         return array
 
-    def _check_actions(
-        self, actions: NDArray[np.int16], first: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> None:
+    def _check_actions(self, actions: NDArray[np.int16], first: Ints, lengths: Ints) -> None:
         """Every frame but each episode's last needs an action of each individual."""
         bad = (actions < 0) | (actions >= self.num_actions)
         bad[first + lengths - 1] = False
@@ -218,9 +217,7 @@ class OfflineDataset:
             chosen = np.take_along_axis(chosen, by_length, axis=1)
             yield self._gathered(self._sequences, chosen, chosen)
 
-    def _gathered(
-        self, sequences: Sequences, slots: NDArray[np.int64], indices: NDArray[np.int64]
-    ) -> SequenceBatch:
+    def _gathered(self, sequences: Sequences, slots: Ints, indices: Ints) -> SequenceBatch:
         return gather(
             *(self._frames, sequences, slots), indices=indices, num_actions=self.num_actions
         )
@@ -255,7 +252,7 @@ class OfflineDataset:
 
     def _draw_windows(
         self, generator: np.random.Generator, count: int, length: int, burn_in: int
-    ) -> tuple[NDArray[np.int64], Sequences]:
+    ) -> tuple[Ints, Sequences]:
         """Draw ``count`` windows of ``length`` steps, with up to ``burn_in`` steps before each.
 
         A window may hang over either end of its episode and is cut there, so that the first and

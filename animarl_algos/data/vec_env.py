@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import (
 from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
 from animarl_algos.losses.terms import Recipe
 from animarl_envs import environment_id
+from animarl_envs.array_types import Bools, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
@@ -155,7 +156,7 @@ class SlotVecEnv(VecEnv):
         self.extras: dict[str, NDArray[Any]] = {}
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
-        self._pending: NDArray[np.int64] | None = None
+        self._pending: Ints | None = None
         self._started = False
         self.labels = (labels, label_width, label_horizon)
         self._offline_data: SpeciesDemonstrations | None = None
@@ -190,7 +191,7 @@ class SlotVecEnv(VecEnv):
 
     def step_wait(
         self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], Bools, list[dict[str, Any]]]:
         """Take the step; copies whose episode ended begin a new one."""
         assert self._pending is not None
         world, K = self.world, len(self.individuals)
@@ -222,7 +223,7 @@ class SlotVecEnv(VecEnv):
             self._return[ended] = 0.0
         return self._observation(), extras["task_reward"].copy(), np.repeat(ended, K), infos
 
-    def _finish(self, ended: NDArray[np.bool_], infos: list[dict[str, Any]]) -> None:
+    def _finish(self, ended: Bools, infos: list[dict[str, Any]]) -> None:
         """Fill the infos that SB3 expects of ended episodes, slot by slot."""
         world, K = self.world, len(self.individuals)
         last = self._observation().reshape(self.num_copies, K, -1)
@@ -622,9 +623,9 @@ class FocalPolicy:
         self,
         observation: NDArray[Any],
         state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
+        episode_start: Bools | None = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
+    ) -> tuple[Ints, Any]:
         """Actions ``(slots,)`` of slots ``copy * individuals + individual``; 0 for the others."""
         own = slice(self.index, None, self.individuals)
         actions = np.zeros(len(observation), dtype=np.int64)
@@ -640,7 +641,7 @@ class FocalPolicy:
         """See :meth:`GruPolicy.remember`; ``executed`` of all slots."""
         return self.policy.remember(state, executed[self.index :: self.individuals])
 
-    def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
+    def leave_out(self, state: Any, over: Bools) -> Any:
         """See :meth:`GruPolicy.leave_out`; ``over`` of all slots. Foreign policies have none."""
         leave_out = getattr(self.policy, "leave_out", None)
         return (

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
-from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.learner.pretraining import shown_progress
 from animarl_algos.networks.acting_rule import Acting
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.base import World

@@ -28,8 +28,9 @@ from animarl_algos.evaluation import order_in_time, statistics
 from animarl_algos.evaluation.metrics import ORDER_METRICS
 from animarl_algos.evaluation.prepared import WINDOW, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
 from animarl_envs.errors import require
@@ -441,9 +442,7 @@ def _resampled(kind: Ints, rng: np.random.Generator) -> Floats:
     return drawn
 
 
-def _compare(
-    scores: Floats, simulated: NDArray[np.bool_], group: Ints, groups: int
-) -> tuple[Floats, Floats]:
+def _compare(scores: Floats, simulated: Bools, group: Ints, groups: int) -> tuple[Floats, Floats]:
     """Pairs won by simulated windows, ties by halves, and all pairs, ``(groups, groups)`` each.
 
     Rows are the groups of the recorded, columns those of the simulated windows.

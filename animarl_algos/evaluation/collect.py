@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.data.vec_env import refuse_other_actions
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
+from animarl_envs.array_types import Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import Resolution, rounded
 from animarl_envs.errors import InputError
@@ -35,7 +36,7 @@ class MemorylessPolicy(ABC):
     """A policy that acts by what is observed now; what it is told besides makes no difference."""
 
     @abstractmethod
-    def act(self, observation: Any) -> NDArray[np.int64]:
+    def act(self, observation: Any) -> Ints:
         """Return one action per slot."""
 
     def predict(self, observation: Any, state: Any = None, **_: Any) -> tuple[Any, Any]:
@@ -50,7 +51,7 @@ class RandomPolicy(MemorylessPolicy):
         self._rng = np.random.default_rng(seed)
         self._num_actions = num_actions
 
-    def act(self, observation: NDArray[np.floating] | Mapping[str, Any]) -> NDArray[np.int64]:
+    def act(self, observation: NDArray[np.floating] | Mapping[str, Any]) -> Ints:
         return self._rng.integers(self._num_actions, size=len(observation))
 
 
@@ -153,7 +154,7 @@ def _run_batch(
     world: World,
     policy: Policy,
     demos: Demonstrations,
-    tasks: NDArray[np.int64],
+    tasks: Ints,
     method: str,
     seed: int,
     cue: Cue | None,

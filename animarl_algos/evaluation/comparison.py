@@ -27,9 +27,10 @@ from animarl_algos.evaluation.metrics import (
 )
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
-from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws, Floats, Ints
+from animarl_algos.evaluation.statistics import RESAMPLES, Cells, Draws
 from animarl_algos.evaluation.verdict import Verdict, verdict
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_json, write_then_rename

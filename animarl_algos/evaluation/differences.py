@@ -20,11 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import FEWEST_ALONE, Floats, Ints
-
-Bools = NDArray[np.bool_]
+from animarl_algos.evaluation.statistics import FEWEST_ALONE
+from animarl_envs.array_types import Bools, Floats, Ints
 
 EXCHANGES = 1000
 LEVEL = 0.03  # of all measures together; the two classifiers have the rest of 5 %

@@ -18,8 +18,8 @@ import numpy as np
 from animarl_algos.evaluation.order_in_time import Series, cross, nearest_other
 from animarl_algos.evaluation.prepared import Prepared, resting_step
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Floats
 from animarl_envs.focus import focus_directions
 
 ZONES = 3  # distances to the focus with a gain each

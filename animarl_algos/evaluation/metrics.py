@@ -18,7 +18,7 @@ import pandas as pd
 from animarl_algos.evaluation.order_in_time import plain_name
 from animarl_algos.evaluation.prepared import MeasuredEpisodes, Prepared, ending
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, Episodes
 from animarl_envs.demos.summary import RECORDED_SCALE

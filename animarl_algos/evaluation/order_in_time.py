@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.episode import Episodes
 from animarl_envs.focus import FALLBACK, focus_directions
 
@@ -44,7 +43,7 @@ class Series:
     chosen: Ints
     speed: Floats
     turn: Floats
-    moving: NDArray[np.bool_]
+    moving: Bools
     step: Floats
     position: Floats
     focus: Floats
@@ -356,7 +355,7 @@ def _turn_autocorrelation(turn: Floats, lag: int) -> Floats:
     return np.asarray(_mean(sine[:, lag:] * sine[:, :-lag]) / np.where(square > 0, square, np.nan))
 
 
-def _bouts(moving: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
+def _bouts(moving: Bools, defined: Bools) -> Floats:
     """Mean length of uninterrupted stretches [steps]; 0 where there is none."""
     moving = moving & defined
     begins = moving & ~np.concatenate([np.zeros_like(moving[:, :1]), moving[:, :-1]], axis=1)
@@ -364,7 +363,7 @@ def _bouts(moving: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
     return np.asarray(moving.sum(axis=1) / np.maximum(count, 1))
 
 
-def _longest(true: NDArray[np.bool_]) -> Floats:
+def _longest(true: Bools) -> Floats:
     """Length of the longest uninterrupted stretch of each column [steps]."""
     count = true.cumsum(axis=1)
     before = np.maximum.accumulate(np.where(true, 0, count), axis=1)

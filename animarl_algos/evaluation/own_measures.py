@@ -19,7 +19,7 @@ import numpy as np
 from animarl_algos.evaluation.metrics import METRICS, OF_SPREAD, TOLERANCES, Metric, add_metric
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 

@@ -13,11 +13,11 @@ from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from animarl_algos.evaluation import order_in_time
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats, Ints
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.demos.summary import RESTING_SHARE, Unit, tracking_noise, unit_of
@@ -141,7 +141,7 @@ class MeasuredEpisodes:
         return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
 
     @property
-    def outside(self) -> NDArray[np.bool_]:
+    def outside(self) -> Bools:
         """``(rollouts,)``, whether somebody was outside the arena, or left it.
 
         Who is outside by no more than positions are rounded by may have been rounded there.
@@ -281,7 +281,7 @@ def slow_speeds(recorded: Rollouts) -> Floats:
     return np.array([SLOW_SHARE * np.median(one) if one.size else 0.0 for one in moving])
 
 
-def ending(rollouts: Rollouts) -> NDArray[np.int64]:
+def ending(rollouts: Rollouts) -> Ints:
     """Reached, target out, pursuer out, or neither (time-out, or the recording was cut)."""
     outcome = rollouts.outcome
     known = np.where(np.isin(outcome, (TARGET_OUT, PURSUER_OUT)), outcome, NEITHER)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from animarl_algos.evaluation.realism import leave_one_out
-from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_algos.evaluation.verdict_rows import Comparison
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import UNFINISHED
 
 RANKED = ("duration", "path_length", "mean_speed", "turning", "nearest_neighbour")

@@ -28,7 +28,8 @@ from animarl_algos.evaluation.metrics import (
 from animarl_algos.evaluation.order_in_time import Series, plain_name
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Draws, Floats, Interval, Ints
+from animarl_algos.evaluation.statistics import Draws, Interval
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import UNFINISHED
 
 ENDING = "ending"

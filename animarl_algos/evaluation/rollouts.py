@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import Episodes
 from animarl_envs.errors import InputError
@@ -50,11 +51,11 @@ class Rollouts(Episodes):
 
     method: str
     cue: NDArray[np.int8]
-    demo: NDArray[np.int64]
-    seed: NDArray[np.int64]
-    repetition: NDArray[np.int64]
+    demo: Ints
+    seed: Ints
+    repetition: Ints
     component_names: tuple[str, ...] = ()
-    components: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    components: Floats = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
     def __post_init__(self) -> None:
         count, num = len(self.lengths), len(self.individuals)
@@ -72,12 +73,12 @@ class Rollouts(Episodes):
         return f"rollouts of {self.method}"
 
     @property
-    def captured(self) -> NDArray[np.bool_]:
+    def captured(self) -> Bools:
         """Whether a pursuer reached the target, or the searcher the source: ``(rollouts,)``."""
         return np.asarray(self.outcome > 0)
 
     @cached_property
-    def copies(self) -> NDArray[np.bool_]:
+    def copies(self) -> Bools:
         """Those to leave out of a null, as the policy did the same before: ``(rollouts,)``.
 
         Only where all policies (``seed``) always do the same from a start (``demo``). Who acts by
@@ -90,7 +91,7 @@ class Rollouts(Episodes):
         repeats = [first.setdefault(one, i) < i for i, one in enumerate(did)]
         return np.array(repeats) & (len(first) == len(set(starts)))
 
-    def is_factual(self, recorded: Demonstrations) -> NDArray[np.bool_]:
+    def is_factual(self, recorded: Demonstrations) -> Bools:
         """Whether the world is in the recorded condition, and the policy was told so or nothing."""
         same = self.condition == recorded.condition[self.demo]
         return np.asarray(same & ((self.cue == NO_CUE) | (self.cue == self.condition)))
@@ -100,11 +101,11 @@ class Rollouts(Episodes):
         return self.select(self.is_factual(recorded))
 
     @property
-    def movers(self) -> NDArray[np.int64]:
+    def movers(self) -> Ints:
         """Individuals whose paths are measured: pursuers, or the searcher."""
         return np.array([i for i, role in enumerate(self.roles) if role != "target"])
 
-    def speeds(self) -> NDArray[np.float64]:
+    def speeds(self) -> Floats:
         """Speed of every step of every individual, ``(steps, individuals)`` [arena unit / s]."""
         step = np.linalg.norm(np.diff(self.positions, axis=0), axis=-1) / self.dt
         keep = np.ones(len(step), dtype=bool)

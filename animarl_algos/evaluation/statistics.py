@@ -18,12 +18,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.files import read_regular
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
@@ -112,7 +110,7 @@ class Cells:
             return np.asarray(self.sums.sum(axis=1) / self.counts.sum(axis=1))
 
     @property
-    def starts(self) -> NDArray[np.bool_]:
+    def starts(self) -> Bools:
         """``(demos,)``, where something counts for any seed."""
         return np.asarray((self.counts > 0).any(axis=0))
 
@@ -143,7 +141,7 @@ class Cells:
             return self
         return Cells(self.sums @ owner, self.counts @ owner, self.lacking)
 
-    def of(self, demos: NDArray[np.bool_]) -> Cells:
+    def of(self, demos: Bools) -> Cells:
         """Those of some demonstrations, without seeds that have none of them."""
         sums, counts = self.sums[:, demos], self.counts[:, demos]
         seeds = counts.sum(axis=1) > 0

@@ -25,10 +25,10 @@ from torch import nn
 
 from animarl_algos.evaluation.collect import MemorylessPolicy, Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.learner.checkpoint import load_tensors, summarise_error
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import MlpPolicy
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_npz
@@ -228,7 +228,7 @@ class PublishedTeam(MemorylessPolicy):
         """Read ``p1_2.4.pth``, ``p2_2.4.pth`` and ``e_2.4.pth``, or raise InputError."""
         return cls(tuple(_load_network(folder / name) for name in FILES))
 
-    def act(self, observation: NDArray[np.floating]) -> NDArray[np.int64]:
+    def act(self, observation: NDArray[np.floating]) -> Ints:
         """Greedy actions ``(slots,)`` from the full observations of a chase ``(slots, n)``."""
         components = observation_components(AGENT)
         if observation.shape[-1] != len(components):

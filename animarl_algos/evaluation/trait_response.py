@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.acting_choice import ROLLOUTS
 from animarl_algos.evaluation.collect import Cue, Policy, WrappedPolicy, collect_rollouts
+from animarl_envs.array_types import Floats
 from animarl_envs.species.traits import TRAITS, Traits, episode_traits
 from animarl_envs.worlds.base import World
-
-Floats = NDArray[np.float64]
 
 LOUDEST = 2.0  # louder, moths no longer find their source
 HEARD = 0.2  # a weaker answer may be none, and nothing makes it one

@@ -53,7 +53,8 @@ from animarl_algos.evaluation.prepared import (
     restricted_mean_scores,
 )
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 

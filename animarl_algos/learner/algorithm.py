@@ -87,6 +87,7 @@ from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy, PolicySettings, State, zero_value_stream
 from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Seed, check_value
@@ -370,7 +371,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """Do as :meth:`GruPolicy.remember`."""
         return self.policy.remember(state, executed)
 
-    def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
+    def leave_out(self, state: State, over: Bools) -> State:
         """Do as :meth:`GruPolicy.leave_out`."""
         return self.policy.leave_out(state, over)
 
@@ -683,7 +684,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         phase = self.settings.phase("offline")
         return demonstrated_values(self.policy, phase, dataset, self.settings.offline_batch_size)
 
-    def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
+    def fit_temperature(self, dataset: OfflineDataset) -> Floats:
         """Return Boltzmann temperatures ``(K,)`` of maximum likelihood for demonstrated actions.
 
         To act by them: ``model.policy.acting = Acting.boltzmann(model.fit_temperature(data.val))``.

@@ -13,7 +13,6 @@ from types import FrameType
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.type_aliases import MaybeCallback
 from stable_baselines3.common.vec_env import VecEnv
@@ -22,6 +21,7 @@ from tqdm import tqdm
 from animarl_algos.data.vec_env import SlotLayout, declared_feedback, feedback_of
 from animarl_algos.learner.checkpoint import save_checkpoint
 from animarl_algos.learner.pretraining import shown_progress
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Count, check_value
 
@@ -146,8 +146,8 @@ class IndividualReturns(NamedTuple):
     """Returns ``(episodes, K)`` in the order of ``individuals``, and lengths [steps]."""
 
     individuals: tuple[str, ...]
-    returns: NDArray[np.float64]
-    lengths: NDArray[np.int64]
+    returns: Floats
+    lengths: Ints
 
     @property
     def mean(self) -> dict[str, float]:

@@ -30,6 +30,7 @@ from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.layers import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError
 
 Weights = dict[str, torch.Tensor]
@@ -286,10 +287,10 @@ def few_or_count(names: list[str]) -> str:
 class DemonstratedValues(NamedTuple):
     """Action values over all valid, labelled steps of demonstrations, one entry per individual."""
 
-    values: list[NDArray[np.float64]]  # (N, A)
-    actions: list[NDArray[np.int64]]  # (N,)
-    shares: list[NDArray[np.float64] | None]  # (N, A), soft labels, None where there are none
-    treatment_accuracy: NDArray[np.float64] | None  # (K,), balanced; None without a treatment head
+    values: list[Floats]  # (N, A)
+    actions: list[Ints]  # (N,)
+    shares: list[Floats | None]  # (N, A), soft labels, None where there are none
+    treatment_accuracy: Floats | None  # (K,), balanced; None without a treatment head
 
 
 @torch.no_grad()
@@ -382,9 +383,7 @@ def own_figures(row: Figures, name: str, individuals: tuple[str, ...]) -> list[f
     return [row[f"{name}/{who}"] for who in individuals]
 
 
-def demonstrated_rank(
-    values: NDArray[np.floating], actions: NDArray[np.integer]
-) -> NDArray[np.float64]:
+def demonstrated_rank(values: NDArray[np.floating], actions: NDArray[np.integer]) -> Floats:
     """Return the rank of each demonstrated action among its state's values: 1 is the highest.
 
     Ties share their mean rank, so that indifference ranks as chance does. Among values that are not

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_envs.array_types import Bools
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ class Step(NamedTuple):
 
     observations: NDArray[Any]  # after it; where a slot is done, the next episode's first
     rewards: NDArray[Any]
-    dones: NDArray[np.bool_]
+    dones: Bools
     infos: list[dict[str, Any]]
     feedback: dict[str, NDArray[Any]]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import should_collect_more_steps
 
@@ -20,6 +19,7 @@ from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.store import SequenceBatch
+from animarl_envs.array_types import Floats
 from animarl_envs.errors import InputError
 
 AS_MANY_AS_STEPS = -1
@@ -141,7 +141,7 @@ def update(
     optimizer: torch.optim.Optimizer,
     *,
     prioritized: bool = False,
-) -> tuple[Totals, NDArray[np.float64] | None]:
+) -> tuple[Totals, Floats | None]:
     """Step along the gradient of the terms' weighted sum, clipped for each individual by itself.
 
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
@@ -200,7 +200,7 @@ def _add_decay_gradient(parameters: Sequence[torch.Tensor], weight: float) -> No
     torch._foreach_add_(gradients, list(parameters), alpha=2.0 * weight)  # type: ignore[arg-type]
 
 
-def sequence_priorities(minibatch: MinibatchValues) -> NDArray[np.float64] | None:
+def sequence_priorities(minibatch: MinibatchValues) -> Floats | None:
     """Return a mixture of each sequence's largest and mean absolute error over valid steps, (K, B).
 
     None if no term measured an error.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_DIRECTIONS
 from animarl_envs.settings import Positive, Probability, check_fields, check_value
@@ -151,9 +152,7 @@ class Acting:
             )
         return self
 
-    def choose(
-        self, q_values: NDArray[np.floating], draw: NDArray[np.float64], individuals: int
-    ) -> NDArray[np.int64]:
+    def choose(self, q_values: NDArray[np.floating], draw: Floats, individuals: int) -> Ints:
         """Choose an action (S,) for every slot; of equal values the lowest is the greedy one.
 
         Slot s of ``q_values`` (S, actions) is individual ``s % individuals``; ``draw`` (S,) are
@@ -166,7 +165,7 @@ class Acting:
             if self.two_stage:
                 scaled = two_stage_logits(scaled, self.thrust, self.direction)
             return boltzmann(scaled, draw)
-        greedy: NDArray[np.int64] = q_values.argmax(1)
+        greedy: Ints = q_values.argmax(1)
         if self.kind is Kind.GREEDY or self.epsilon <= 0:
             return greedy
         # A draw below epsilon is uniform there, so that it also says which random action.
@@ -175,7 +174,7 @@ class Acting:
         return np.where(draw < self.epsilon, random.astype(np.int64), greedy)
 
 
-def two_stage_logits(scaled: NDArray[Any], thrust: float, direction: float) -> NDArray[np.float64]:
+def two_stage_logits(scaled: NDArray[Any], thrust: float, direction: float) -> Floats:
     """Return log-probabilities of actions if a thrust's magnitude is drawn before its direction.
 
     There are M + 1 magnitudes: each of M with the probability of all its directions together, and
@@ -195,16 +194,16 @@ def two_stage_logits(scaled: NDArray[Any], thrust: float, direction: float) -> N
     return np.concatenate([pushed, hard[:, -1:]], axis=1)
 
 
-def _log_sum_exp(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _log_sum_exp(values: Floats) -> Floats:
     """Over the last axis, which stays with length 1."""
     most = values.max(-1, keepdims=True)
-    summed: NDArray[np.float64] = most + np.log(np.exp(values - most).sum(-1, keepdims=True))
+    summed: Floats = most + np.log(np.exp(values - most).sum(-1, keepdims=True))
     return summed
 
 
-def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:
+def boltzmann(scaled: NDArray[Any], draw: Floats) -> Ints:
     """Sample from softmax(scaled) (S, actions) with one uniform draw (S,) in [0, 1) per row."""
     weight = np.exp(scaled - scaled.max(1, keepdims=True)).astype(np.float64)
     cumulative = weight.cumsum(1)
-    chosen: NDArray[np.int64] = (cumulative <= draw[:, None] * cumulative[:, -1:]).sum(1)
+    chosen: Ints = (cumulative <= draw[:, None] * cumulative[:, -1:]).sum(1)
     return chosen

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Ints
 from animarl_envs.compiling import jit
 
 
@@ -148,7 +149,7 @@ def gru(
     inputs: torch.Tensor,
     state: torch.Tensor,
     weights: Sequence[torch.Tensor],
-    active: NDArray[np.int64],
+    active: Ints,
     previous: torch.Tensor | None,
 ) -> torch.Tensor:
     """Hidden states (K, row, H) of K GRUs over packed sequences, float32 on the CPU.
@@ -172,7 +173,7 @@ class _GRU(torch.autograd.Function):
         weight_hidden: torch.Tensor,
         bias_input: torch.Tensor,
         bias_hidden: torch.Tensor,
-        active: NDArray[np.int64],
+        active: Ints,
         previous: torch.Tensor | None,
     ) -> torch.Tensor:
         gates = torch.baddbmm(bias_input, inputs, weight_input)

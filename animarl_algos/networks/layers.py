@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from animarl_algos.networks.kernels import gru, runs_compiled
+from animarl_envs.array_types import Ints
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Packing:
 
     time: int
     batch: int
-    active: NDArray[np.int64]  # (steps,), rows of each step, not increasing; others have none
-    lengths: NDArray[np.int64] | None  # (individuals or 1, batch), valid steps; None: all
+    active: Ints  # (steps,), rows of each step, not increasing; others have none
+    lengths: Ints | None  # (individuals or 1, batch), valid steps; None: all
     device: torch.device  # where the index tensors live
 
     @classmethod
@@ -58,7 +59,7 @@ class Packing:
         return cls(time, lengths.shape[1], active[active > 0], lengths, torch.device(device))
 
     @cached_property
-    def offsets(self) -> NDArray[np.int64]:
+    def offsets(self) -> Ints:
         """Packed row of each step's first batch row; the last entry is the number of rows."""
         return np.concatenate(([0], np.cumsum(self.active)))
 

@@ -20,11 +20,12 @@ from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.kernels import sigmoid_float32, tanh_float32
 from animarl_algos.networks.networks import NetworkSettings, StackedQNetwork
+from animarl_envs.array_types import Bools, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 from animarl_envs.settings import field_types
 
-State = tuple[NDArray[np.float32], NDArray[np.int64]]
+State = tuple[NDArray[np.float32], Ints]
 """Hidden state (S, H) and previous action (S,)."""
 FINISHED = np.iinfo(np.int64).min
 """In the place of a previous action: the slot's episode is over, so nothing is computed for it."""
@@ -181,7 +182,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         state: tuple[NDArray[Any], ...] | None = None,
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], State]:
+    ) -> tuple[Ints, State]:
         """Choose an action per slot; return them, ``(S,)`` or ``()`` for the only slot, and memory.
 
         ``observation`` is ``(S, *shape)`` of all slots, or ``(*shape)`` of the only one. ``state``
@@ -199,7 +200,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         """Return the ``state`` after a step that executed actions (S,) of another's choice."""
         return state[0], executed.astype(np.int64)
 
-    def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
+    def leave_out(self, state: State, over: Bools) -> State:
         """Return the ``state`` in which slots whose episode is ``over`` (S,) cost nothing.
 
         They still draw an action, so that the other slots' random numbers do not shift.
@@ -266,10 +267,10 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             hidden[begins], previous[begins] = 0.0, none
         return hidden, previous
 
-    def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> NDArray[np.int64]:
+    def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> Ints:
         """Actions (S,) for Q-values (S, actions): greedy, or by the acting rule, one draw each."""
         if deterministic:
-            greedy: NDArray[np.int64] = q_values.argmax(1)
+            greedy: Ints = q_values.argmax(1)
             return greedy
         draw = self.generator.random(len(q_values))
         return self.acting.choose(q_values, draw, len(self.individuals))
@@ -303,7 +304,7 @@ class MlpPolicy(GruPolicy):
 def decide_on_device(
     network: StackedQNetwork,
     observation: NDArray[np.float32],
-    previous: NDArray[np.int64],
+    previous: Ints,
     hidden: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Q-values (S, actions) and next hidden state (S, H), where the network is not on the CPU."""
@@ -484,7 +485,7 @@ class CompiledActor:
     def decide(
         self,
         observations: NDArray[np.float32],
-        previous_actions: NDArray[np.int64],
+        previous_actions: Ints,
         hidden: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         """Q-values (S, actions); ``hidden`` (S, H) becomes the next state. All are C-contiguous."""

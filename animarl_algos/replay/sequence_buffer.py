@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
 from animarl_algos.replay.sum_trees import SumTrees, draw_stratified
+from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Checked, Count, NotNegative
 
@@ -222,15 +223,15 @@ class SequenceReplayBuffer:
         arrays: list[Any] = [*self.frames, *self.sequences, self.trees.nodes]
         return sum(array.nbytes for array in (*arrays, *self.staged, self.staged_state))
 
-    def _used_rows(self) -> NDArray[np.int64]:
+    def _used_rows(self) -> Ints:
         """Rows in use, from the oldest episode's first on."""
         return np.arange(self.next_row - self.rows_used, self.next_row) % self.buffer_size
 
-    def _used_slots(self) -> NDArray[np.int64]:
+    def _used_slots(self) -> Ints:
         """Slots in use, from the oldest sequence on."""
         return self._slots(np.arange(self.oldest_serial, self.next_serial))
 
-    def _slots(self, serials: ArrayLike) -> NDArray[np.int64]:
+    def _slots(self, serials: ArrayLike) -> Ints:
         return np.asarray(serials) % len(self.sequences.first)
 
     # -- adding -----------------------------------------------------------------------------------
@@ -239,8 +240,8 @@ class SequenceReplayBuffer:
         self,
         *,
         next_observations: NDArray[np.floating],
-        terminated: NDArray[np.bool_],
-        truncated: NDArray[np.bool_] | None = None,
+        terminated: Bools,
+        truncated: Bools | None = None,
         hidden: NDArray[np.floating] | None = None,
         condition: NDArray[Any] | None = None,
         **frames: Any,
@@ -364,16 +365,16 @@ class SequenceReplayBuffer:
         )
         return batch if self.device.type == "cpu" else batch.to(self.device)
 
-    def _weights(self, slots: NDArray[np.int64], progress: float) -> NDArray[np.float32]:
+    def _weights(self, slots: Ints, progress: float) -> NDArray[np.float32]:
         """Return w_i = (N P(i))^-beta over the largest of its individual, P(i) = p_i / sum p."""
         start, end = BETA
         beta = start + min(max(progress, 0.0), 1.0) * (end - start)
         priorities = self.trees.priorities[np.arange(len(slots))[:, None], slots]
         weights = (self.num_sequences * priorities / self.trees.nodes[:, 1:2]) ** -beta
-        scaled: NDArray[np.float64] = weights.astype(np.float32) / weights.max(1, keepdims=True)
+        scaled: Floats = weights.astype(np.float32) / weights.max(1, keepdims=True)
         return scaled.astype(np.float32)
 
-    def update_priorities(self, indices: NDArray[np.int64], errors: ArrayLike) -> None:
+    def update_priorities(self, indices: Ints, errors: ArrayLike) -> None:
         """Set the priorities of drawn sequences to ``(|error| + 1e-6) ** alpha``.
 
         ``indices`` and ``errors`` are (K, B). Sequences evicted since the draw are passed over; of
@@ -395,7 +396,7 @@ class SequenceReplayBuffer:
 
     # -- saving ----------------------------------------------------------------------------------
 
-    def _used(self) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
+    def _used(self) -> dict[str, tuple[NDArray[Any], Ints]]:
         """Arrays with the part of them that is in use, as the cursor and the step counts say."""
         first = np.arange(self.num_copies) * (self.max_episode_steps + 1)
         running = np.concatenate([f + np.arange(n) for f, n in zip(first, self.step_count)])

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Bools, Ints
 from animarl_envs.compiling import jit
 
 NO_LABEL = -1
@@ -30,7 +31,7 @@ class Frames(NamedTuple):
     rewards: NDArray[np.float32]  # (rows, K)
     penalties: NDArray[np.float32]  # (rows, K)
     labels: NDArray[np.int16]  # (rows, K), NO_LABEL: none
-    warmup: NDArray[np.bool_]  # (rows,), the step is replayed, not chosen
+    warmup: Bools  # (rows,), the step is replayed, not chosen
     # Of each action, (rows, K, actions); of experienced steps there are none: (rows, K, 0).
     action_penalties: NDArray[np.float32]
     label_shares: NDArray[np.float32]  # soft labels
@@ -46,7 +47,7 @@ class Frames(NamedTuple):
             *(np.zeros((*each, 0), np.float32), np.zeros((*each, 0), np.float32)),
         )
 
-    def write(self, rows: NDArray[np.int64], step: Mapping[str, Any]) -> None:
+    def write(self, rows: Ints, step: Mapping[str, Any]) -> None:
         """Fill ``rows``; what ``step`` leaves out or has as None is zero, labels ``NO_LABEL``."""
         for name, array in self._asdict().items():
             value = step.get(name)
@@ -59,13 +60,13 @@ class Frames(NamedTuple):
 class Sequences(NamedTuple):
     """Where each sequence (an episode or a piece of one) lies among the frames, one slot each."""
 
-    first: NDArray[np.int64]  # (slots,), row of its first step, prefix included
-    prefix: NDArray[np.int64]  # (slots,), burn-in steps
-    trained: NDArray[np.int64]  # (slots,), steps after the prefix
-    at_start: NDArray[np.bool_]  # (slots,), the first step is its episode's first
-    terminated: NDArray[np.bool_]  # (slots,), the last step terminated the episode
+    first: Ints  # (slots,), row of its first step, prefix included
+    prefix: Ints  # (slots,), burn-in steps
+    trained: Ints  # (slots,), steps after the prefix
+    at_start: Bools  # (slots,), the first step is its episode's first
+    terminated: Bools  # (slots,), the last step terminated the episode
     condition: NDArray[np.float32]  # (slots,)
-    frames: NDArray[np.int64]  # (slots,), rows of the episode, at its last sequence; else 0
+    frames: Ints  # (slots,), rows of the episode, at its last sequence; else 0
     initial_state: NDArray[np.float32]  # (slots, K, H), state before the first step; H may be 0
 
     @classmethod
@@ -109,7 +110,7 @@ class SequenceBatch:
     weights: torch.Tensor  # (K, B) float32, importance weights, at most 1
     starts: torch.Tensor  # (K, B) int64
     lengths: torch.Tensor  # (K, B) int64
-    indices: NDArray[np.int64]  # (K, B), which sequences these are
+    indices: Ints  # (K, B), which sequences these are
     labels: torch.Tensor  # (K, T, B) int64, demonstrated action aligned with the step, or -1
     condition: torch.Tensor  # (K, B) float32, of the column's episode, 0 or 1
     burn_in: int = 0
@@ -209,9 +210,9 @@ def _gather(frames, sequences, slots, no_action):  # type: ignore[no-untyped-def
 def gather(
     frames: Frames,
     sequences: Sequences,
-    slots: NDArray[np.int64],
+    slots: Ints,
     *,
-    indices: NDArray[np.int64],
+    indices: Ints,
     num_actions: int,
     weights: NDArray[np.float32] | None = None,
 ) -> SequenceBatch:

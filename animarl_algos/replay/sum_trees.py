@@ -8,8 +8,9 @@ accumulates and a tree rebuilt from its leaves is the same to the last bit.
 
 import numba as nb
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.compiling import jit
 from animarl_envs.worlds.streams import next_uniform
 
@@ -77,10 +78,10 @@ class SumTrees:
         self.capacity = capacity
         # Of one tree twice the next power of two, and none of an empty one.
         nodes = 2 * max(2, 1 << (capacity - 1).bit_length()) if capacity else 0
-        self.nodes: NDArray[np.float64] = np.zeros((num_trees, nodes), dtype=np.float64)
+        self.nodes: Floats = np.zeros((num_trees, nodes), dtype=np.float64)
 
     @property
-    def priorities(self) -> NDArray[np.float64]:
+    def priorities(self) -> Floats:
         """Priorities of all leaves, ``(K, capacity)``, a view."""
         first = self.nodes.shape[1] // 2
         return self.nodes[:, first : first + self.capacity]
@@ -95,13 +96,13 @@ class SumTrees:
         given = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
         _set_leaves(self.nodes, places.copy(), given.copy(), exponent)
 
-    def find(self, shares: NDArray[np.float64]) -> NDArray[np.int64]:
+    def find(self, shares: Floats) -> Ints:
         """Return the leaf in which each share (K, B) of its tree's total priority lies."""
         leaves = np.empty(shares.shape, dtype=np.int64)
         _find_leaves(self.nodes, shares, leaves)
         return leaves
 
-    def restore(self, leaves: NDArray[np.int64], priorities: NDArray[np.float64]) -> None:
+    def restore(self, leaves: Ints, priorities: Floats) -> None:
         """Make all trees anew: ``leaves`` get ``priorities`` ``(K, len(leaves))``, others zero."""
         self.nodes[:] = 0.0
         self.set(leaves, priorities)

@@ -14,13 +14,14 @@ from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict_rows import ALIKE, DIFFERS, LITTLE, UNKNOWN
 from animarl_algos.report import style
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.summary import Unit
 from animarl_envs.drawing.render import round_length
 from animarl_envs.fitting.custom_species import SMALLEST_CONTACT
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 View = tuple[float, float, float]
 
 ROW_HEIGHT = 0.52  # of one method in a distribution [inch]

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from animarl_algos.evaluation.metrics import DTW
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -15,10 +15,9 @@ from animarl_algos.report.inputs import PageInputs, ReportInputs
 from animarl_algos.report.page import Player
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import capitalised
+from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.summary import outcome_name
 from animarl_envs.drawing.render import round_length
-
-Floats = NDArray[np.float64]
 
 STARTS = 12  # that can be played, over all conditions
 BUDGET = 1_500_000  # characters of packed paths; longer ones are thinned in time, evenly
@@ -133,7 +132,7 @@ def _packed(
     }
 
 
-def at_ranks(values: ArrayLike, starts: ArrayLike, quantiles: Sequence[float]) -> NDArray[np.int64]:
+def at_ranks(values: ArrayLike, starts: ArrayLike, quantiles: Sequence[float]) -> Ints:
     """Return indices of the values nearest in rank to the quantiles, no two from one start.
 
     There are fewer than asked for where there are fewer starts.

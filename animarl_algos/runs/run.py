@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from filelock import FileLock, Timeout
-from numpy.typing import NDArray
 
 from animarl_algos.data.vec_env import FocalPolicy, SlotVecEnv, focal_drivers
 from animarl_algos.evaluation import acting_choice
@@ -41,6 +40,7 @@ from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import run_files, run_world
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, CHOSEN, RunSettings, checked_species
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
@@ -591,7 +591,7 @@ class Run:
         focal = self.settings.focal
         return self.species.individuals if focal is None else (focal,)
 
-    def action_values(self, episode: int, split: str = "test") -> NDArray[np.float64]:
+    def action_values(self, episode: int, split: str = "test") -> Floats:
         """Return the policy's Q-values along a recorded episode ``(steps, individuals, actions)``.
 
         Everybody moves as recorded; the values are those before each step, given the observations

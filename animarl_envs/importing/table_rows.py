@@ -1,7 +1,6 @@
 """From the rows of a table to tracks, once the part of each column is known."""
 
 import itertools
-import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -14,27 +13,31 @@ import numpy as np
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
-from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing import tables
 from animarl_envs.importing.clock import (
     IN_SECONDS,
-    LARGEST_FRAME,
     even_rows,
     fit_clock,
     irregular_rate,
     refuse_times_going_back,
     seconds,
 )
+from animarl_envs.importing.table_checks import (
+    check_extent,
+    frame_numbers,
+    is_sparse,
+    refuse_two_rows,
+)
 from animarl_envs.importing.table_columns import (
     DEGREES,
     Columns,
-    Position,
-    corners_of,
     is_body_part,
     is_idtracker,
     parsed_names,
     split_names,
 )
+from animarl_envs.importing.table_geometry import centre_arenas, project_degrees, with_boxes
+from animarl_envs.importing.table_slots import stack_slots
 from animarl_envs.importing.tracks import (
     CENTROID,
     LONE,
@@ -43,11 +46,6 @@ from animarl_envs.importing.tracks import (
     TRACKS,
     Tracks,
 )
-
-SPARSE, SMALL = 100, 2**20  # cells of frame and individual: so many a row, and in all
-EARTH = 6_371_008.8  # [m], its mean radius
-ORDERED = 0.99  # share of rows in which corners of a box are left of and above the others
-STEADY = 0.5  # spread of the size of a box, of that of its centre; of two animals it is more
 
 
 @dataclass(eq=False)
@@ -100,7 +98,7 @@ def tracks_of_rows(
     provenance: dict[str, Any] = {"file": table.path.name, "read_as": table.description}
     rows, columns = _read_rows(table, columns, fps, progress, heading, stated, provenance)
     fps, frames, start = _frames_of(table, columns, rows, fps, heading, provenance)
-    if rows.names and _is_sparse(frames, rows.recording, len(rows.names)):
+    if rows.names and is_sparse(frames, rows.recording, len(rows.names)):
         start = _split_tracks(rows, frames, start, provenance)
     tracks = []
     for at in range(len(rows.recordings)):
@@ -118,7 +116,7 @@ def tracks_of_rows(
                 **record,
             )
         )
-    return _centre_arenas(tracks) if columns.arena else tracks
+    return centre_arenas(tracks) if columns.arena else tracks
 
 
 def _read_rows(
@@ -153,12 +151,12 @@ def _read_rows(
     notes = table.notes
     line = np.arange(len(next(iter(number.values()))))
     if slots:
-        number, word, columns, line = _stack_slots(number, word, columns)
+        number, word, columns, line = stack_slots(number, word, columns)
     if columns.unit == DEGREES:
-        notes.append(_project(table.path, number, columns))
+        notes.append(project_degrees(table.path, number, columns))
         columns = replace(columns, unit="m")
     if not stated:
-        columns = _with_boxes(table, columns, number)
+        columns = with_boxes(table, columns, number)
     zeros = np.zeros(len(line), dtype=np.int64)
     sets = _recordings_of(table.path, columns, word, zeros)
     bodies = _bodies_of(table.path, columns, word, zeros, stated)
@@ -249,7 +247,7 @@ def _place_rows(
     parts = rows.points or list(dict.fromkeys(one.keypoint for one in columns.positions))
     first = int(frames.min())
     shape = (int(frames.max()) + 1 - first, len(individuals), len(parts))
-    _check_extent(table, recording, shape, frames, rows.line[own])
+    check_extent(table, recording, shape, frames, rows.line[own])
     body = (frames - first) * len(individuals) + place[rows.individual[own]]
     labels = [f"{a} {part}" if len(parts) > 1 else a for a in individuals for part in parts]
     refuse_two_rows(
@@ -325,99 +323,6 @@ def _bodies_of(
     return bodies.entries, bodies.number, points.entries, points.number
 
 
-def _stack_slots(
-    number: dict[str, Floats], word: dict[str, tables.TextColumn], columns: Columns
-) -> tuple[dict[str, Floats], dict[str, tables.TextColumn], Columns, Ints]:
-    """Return a row for each individual, where rows hold several that columns name.
-
-    Last is the row of the table that each is of.
-    """
-    slots = list(columns.tracks)
-    own = {name: [p for p in columns.positions if p.individual == name] for name in slots}
-    first = own[slots[0]]
-    rows = [np.flatnonzero(word[column].number >= 0) for column in columns.tracks.values()]
-    entries = sorted(set(itertools.chain(*(word[c].entries for c in columns.tracks.values()))))
-    owners = [
-        np.searchsorted(entries, np.array(word[column].entries))[word[column].number[at]]
-        for column, at in zip(columns.tracks.values(), rows, strict=True)
-    ]
-    order = np.concatenate(rows)
-    used = set(
-        itertools.chain(
-            *(p.columns for p in columns.positions), (p.score for p in columns.positions)
-        )
-    )
-    stacked = {name: values[order] for name, values in number.items() if name not in used}
-    for at, position in enumerate(first):
-        for k, column in enumerate((*position.columns, position.score)):
-            parts = [(*own[name][at].columns, own[name][at].score)[k] for name in slots]
-            if column is not None:
-                values = [number[str(part)][rows_] for part, rows_ in zip(parts, rows, strict=True)]
-                stacked[column] = np.concatenate(values)
-    words = {
-        name: tables.TextColumn(value.entries, value.number[order])
-        for name, value in word.items()
-        if name not in columns.tracks.values()
-    }
-    column = columns.tracks[slots[0]]
-    words[column] = tables.TextColumn(entries, np.concatenate(owners).astype(np.int64))
-    positions = tuple(replace(position, individual="") for position in first)
-    return (
-        stacked,
-        words,
-        replace(columns, individual=column, positions=positions, tracks={}),
-        order,
-    )
-
-
-def _project(path: Path, number: dict[str, Floats], columns: Columns) -> str:
-    """Turn longitudes and latitudes [degrees] into metres on a plane around their middle.
-
-    A local equirectangular projection; returns what an import says of it.
-    """
-    (east, north), *_ = (position.columns for position in columns.positions)
-    longitude, latitude = number[east], number[north]
-    seen = np.isfinite(longitude) & np.isfinite(latitude)
-    fits = (
-        seen.any() and np.abs(latitude[seen]).max() <= 90 and np.abs(longitude[seen]).max() <= 360
-    )
-    require(
-        fits,
-        f"{path}: columns {east!r} and {north!r} are longitudes and latitudes by their names, but "
-        "hold other numbers than degrees: name the unit by --option unit=m",
-    )
-    first = longitude[seen][0]
-    longitude = first + (longitude - first + 180.0) % 360.0 - 180.0  # across the date line
-    middle = np.median(longitude[seen]), np.median(latitude[seen])
-    per_degree = EARTH * np.pi / 180.0
-    number[east] = per_degree * np.cos(np.radians(middle[1])) * (longitude - middle[0])
-    number[north] = per_degree * (latitude - middle[1])
-    return (
-        f"{east} and {north} are degrees: projected to metres on a plane around longitude "
-        f"{middle[0]:.5f}, latitude {middle[1]:.5f}"
-    )
-
-
-def _with_boxes(table: tables.Table, columns: Columns, number: dict[str, Floats]) -> Columns:
-    """Return the columns with x1, y1, x2, y2 as a box, unless they are two animals."""
-    corners = corners_of(table.names) or ()
-    pairs = itertools.chain(*(one.columns for one in columns.positions))
-    is_box = corners == tuple(pairs) and are_corners(*(number[name] for name in corners))
-    return replace(columns, positions=(Position(corners),)) if is_box else columns
-
-
-def are_corners(x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> bool:
-    """Return whether two points of each row are corners of a box, not two animals."""
-    low, high = np.stack([x1, y1]), np.stack([x2, y2])
-    seen = np.isfinite(low + high).all(axis=0)
-    seen &= (low != high).any(axis=0)  # the corners of a lost animal are one mark, such as 0
-    low, high = low[:, seen], high[:, seen]
-    if not seen.any() or (high > low).all(axis=0).mean() < ORDERED:
-        return False
-    size, centre = high - low, (low + high) / 2
-    return bool((size.std(axis=1) < STEADY * centre.std(axis=1)).all())
-
-
 def _notes_on(columns: Columns, points: Sequence[str]) -> list[str]:
     """Return notes on columns that were taken for a box, for keypoints or for a landmark."""
     notes = [
@@ -433,17 +338,6 @@ def _notes_on(columns: Columns, points: Sequence[str]) -> list[str]:
     return notes
 
 
-def _centre_arenas(tracks: list[Tracks]) -> list[Tracks]:
-    """Return the arenas of a table, each moved to its own middle if they are side by side."""
-    places = [one.positions.reshape(-1, 2) for one in tracks]
-    low, high = (np.array([end(own, axis=0) for own in places]) for end in (np.nanmin, np.nanmax))
-    apart = (low[:, None] > high).any(axis=2)
-    if not (apart | apart.T | np.eye(len(tracks), dtype=bool)).all():
-        return tracks
-    middles = (low + high) / 2
-    return [replace(one, positions=one.positions - m) for one, m in zip(tracks, middles)]
-
-
 def _in_natural_order(entries: list[str], numbers: Ints) -> tuple[list[str], Ints]:
     """Return the entries that occur, 2 before 10, and the place of each among them."""
 
@@ -455,64 +349,3 @@ def _in_natural_order(entries: list[str], numbers: Ints) -> tuple[list[str], Int
     place = np.zeros(len(entries), dtype=np.int64)
     place[order] = np.arange(len(order))
     return [entries[number] for number in order], place
-
-
-def frame_numbers(table: tables.Table, column: str, frames: Floats) -> Ints:
-    """Return frames as whole numbers; refuse others."""
-    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
-    if bad.any():
-        at = int(bad.argmax())
-        raise InputError(
-            f"{table.path}: {table.place(at)}, column {column!r} holds {frames[at]:g}: give whole "
-            "numbers from 0"
-        )
-    return frames.astype(np.int64)
-
-
-def refuse_two_rows(
-    table: tables.Table,
-    recording: str,
-    cell: Ints,
-    individuals: list[str],
-    rows: Ints,
-    first: int = 0,
-) -> None:
-    """Refuse a second row of one frame and individual; ``rows`` are those of the table."""
-    twice = np.flatnonzero(np.bincount(cell) > 1)
-    if len(twice):
-        frame, individual = divmod(int(twice[0]), len(individuals))
-        second = int(np.flatnonzero(cell == twice[0])[1])
-        before = cell[:second][cell[:second] % len(individuals) == individual]
-        require(
-            before.max() == twice[0],
-            f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
-            "session: add a column recording that tells the sessions apart, or split the file",
-        )
-        raise InputError(
-            f"{table.path}: {recording}, frame {first + frame}, {individuals[individual]} has two "
-            "rows: drop the duplicate, or name the recording column"
-        )
-
-
-def _is_sparse(frames: Ints, recording: Ints, individuals: int) -> bool:
-    """Return whether few of the frames hold a row, as in a film of short visits."""
-    first = np.full(int(recording.max()) + 1, LARGEST_FRAME)
-    last = np.zeros_like(first)
-    np.minimum.at(first, recording, frames)
-    np.maximum.at(last, recording, frames)
-    cells = int((last - first + 1).max()) * individuals
-    return individuals > 1 and cells > max(SPARSE * len(frames), SMALL)
-
-
-def _check_extent(
-    table: tables.Table, recording: str, shape: tuple[int, ...], frames: Ints, rows: Ints
-) -> None:
-    """Refuse a frame so late that the recording would take more memory than the file may ask."""
-    size = math.prod(shape) * 16
-    if size > allowed_bytes(table.path.stat().st_size):
-        last = int(frames.argmax())
-        raise InputError(
-            f"{table.path}: {table.place(int(rows[last]))} is of frame {frames[last]}, with which "
-            f"recording {recording} would take {size / 2**20:,.0f} MiB, more "
-            f"than {EXPANSION} times the file: correct it"
-        )

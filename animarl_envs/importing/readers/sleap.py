@@ -12,7 +12,7 @@ from animarl_envs.errors import InputError, require, require_extra
 from animarl_envs.importing import tables
 from animarl_envs.importing.hdf import hdf_keys, hdf_text, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
-from animarl_envs.importing.table_rows import frame_numbers, refuse_two_rows
+from animarl_envs.importing.table_checks import frame_numbers, refuse_two_rows
 from animarl_envs.importing.tracks import LONE, Tracks
 
 Sleap = tuple[list[str], list[str], list[tuple[Floats, Floats | None]]]  # names, nodes, videos

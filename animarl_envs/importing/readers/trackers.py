@@ -17,7 +17,7 @@ from animarl_envs.importing.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import read_long_table
 from animarl_envs.importing.table_columns import Named, parsed_names
-from animarl_envs.importing.table_rows import are_corners
+from animarl_envs.importing.table_geometry import are_corners
 from animarl_envs.importing.tracks import BODY_LENGTH, RATE_FROM, Tracks
 
 ETHOVISION = "Number of header lines:"  # the first cell
