@@ -183,7 +183,8 @@ def _score(
         if row.measure in found.areas and others is None and rollouts.method == RECORDINGS:
             value, word = found.areas[row.measure]["among"], ALIKE
         put(row.measure, value, math.nan, word == ALIKE, row.unit, word)
-    others_score = found.realism_beside.get(OTHERS, math.nan)
+    scores = found.components
+    others_score = math.nan if scores is None else float(scores.iloc[-1].get(OTHERS, math.nan))
     put(REALISM, found.realism, others_score, found.realism.estimate >= others_score)
     drawn, true = (
         summary_table(prepared, side) for side in (prepared.filtered(counted), prepared.recorded)

@@ -19,9 +19,19 @@ if TYPE_CHECKING:
     from animarl_algos.runs.evaluating import compare_runs, evaluate_runs
 
 __all__ = [
-    "Evaluation", "RandomPolicy", "Rollouts", "Verdict", "collect_rollouts", "compare_runs",
-    "evaluate", "evaluate_runs", "measure", "measure_recordings", "teams_of", "verdict",
-]  # fmt: skip
+    "Evaluation",
+    "RandomPolicy",
+    "Rollouts",
+    "Verdict",
+    "collect_rollouts",
+    "compare_runs",
+    "evaluate",
+    "evaluate_runs",
+    "measure",
+    "measure_recordings",
+    "teams_of",
+    "verdict",
+]
 
 _OF_RUNS = {
     "compare_runs": "evaluating",

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
-from animarl_algos.learner.pretraining import shown_progress
+from animarl_algos.learner.progress import shown_progress
 from animarl_algos.networks.acting_rule import Acting
 from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -175,11 +175,14 @@ def choose_acting(
     means = {rule: np.mean(each, axis=0) for rule, each in tried.items()}
     found = tuple(
         Candidate(
-            str(rule), float(np.nanmean(realism.total(each))), realism.by_kind(each), behind[rule],
+            str(rule),
+            float(np.nanmean(realism.total(each))),
+            realism.by_kind(each),
+            behind[rule],
             len(tried[rule]),
         )
         for rule, each in means.items()
-    )  # fmt: skip
+    )
     score = float(np.nanmean(realism.total(others)))
     return ActingChoice(chosen, found, score, above(others, means[chosen]), repeats)
 

@@ -54,9 +54,15 @@ MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
 BOOTSTRAP = 1000
 LEVELS = 63  # of a feature, as many as the trees tell apart
 TREES: dict[str, Any] = {
-    "max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 10,
-    "l2_regularization": 1.0, "max_bins": LEVELS + 1, "early_stopping": False, "random_state": 0,
-}  # fmt: skip
+    "max_iter": 50,
+    "learning_rate": 0.1,
+    "max_leaf_nodes": 8,
+    "min_samples_leaf": 10,
+    "l2_regularization": 1.0,
+    "max_bins": LEVELS + 1,
+    "early_stopping": False,
+    "random_state": 0,
+}
 
 LEVEL = 0.01  # of each classifier, at either end of its interval
 MIN_RECORDINGS = 3  # for an interval

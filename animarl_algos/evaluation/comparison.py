@@ -126,13 +126,19 @@ def comparison_table(
             )
             table.append(
                 statistics.row_of(
-                    value, method=name, measure=each.key, counting=each.counting,
-                    rollouts=int(data.counts.sum()), demos=int(data.starts.sum()),
-                    seeds=len(data.counts), null=null,
+                    value,
+                    method=name,
+                    measure=each.key,
+                    counting=each.counting,
+                    rollouts=int(data.counts.sum()),
+                    demos=int(data.starts.sum()),
+                    seeds=len(data.counts),
+                    null=null,
                     covers="demonstrations like these"
-                    if name == RECORDED else statistics.covers(data),
+                    if name == RECORDED
+                    else statistics.covers(data),
                 )
-            )  # fmt: skip
+            )
     return pd.DataFrame(table)
 
 
@@ -174,12 +180,17 @@ def pair_table(
             gap = statistics.bootstrap_difference(one, other, draws, share=each.share)
             same = (one.starts == other.starts).all()
             row = statistics.row_of(
-                gap, measure=each.key, counting=each.counting, first=first, second=second,
+                gap,
+                measure=each.key,
+                counting=each.counting,
+                first=first,
+                second=second,
                 demos=int((one.starts & other.starts).sum()),
                 pairing="paired, same starts" if same else "paired, shared starts only",
-                covers=statistics.covers(one, *([] if second == RECORDED else [other])), gate="",
+                covers=statistics.covers(one, *([] if second == RECORDED else [other])),
+                gate="",
                 gate_p=math.nan,
-            )  # fmt: skip
+            )
             if opened is not None and (first, second) in planned:
                 row |= {"gate": opened.decision, "gate_p": opened.p}
             table.append(row)

@@ -49,7 +49,7 @@ class Law:
         if recorded.is_group:  # animals of a group are alike
             fitted = [_fit(parts)] * number
         else:
-            each = [slice(who, who + 1) for who in range(number)]
+            each = [slice(k, k + 1) for k in range(number)]
             fitted = [_fit([tuple(v[..., one] for v in part) for part in parts]) for one in each]
         speed, turn, edges, gains = (np.array(each) for each in zip(*fitted))
         return cls(speed, turn, edges, gains)
@@ -140,15 +140,16 @@ def _moments(parts: list[Floats]) -> Floats:
     if not np.isfinite(every).any():
         return np.zeros(3)
     mean, spread = float(np.nanmean(every)), float(np.nanstd(every))
-    products = np.concatenate([((part[:, 1:] - mean) * (part[:, :-1] - mean)).ravel()
-                               for part in parts])  # fmt: skip
+    products = np.concatenate(
+        [((part[:, 1:] - mean) * (part[:, :-1] - mean)).ravel() for part in parts]
+    )
     known = products[np.isfinite(products)]
     memory = known.mean() / spread**2 if spread > 0 and known.size else 0.0
     return np.array([mean, spread, float(np.clip(memory, 0.0, 0.999))])
 
 
 def _held(position: Floats, heading: Floats, arena: Arena) -> tuple[Floats, Floats]:
-    """Hold individuals within the field; who meets its edge turns round."""
+    """Hold individuals within the field; those that meet its edge turn round."""
     if arena.shape == "open":
         return position, heading
     if arena.shape == "square":

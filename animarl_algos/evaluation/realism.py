@@ -198,9 +198,9 @@ def leave_one_out(prepared: Prepared, rollouts: Rollouts) -> tuple[Floats, Float
     for one, two in zip(_components(prepared, recorded), _components(prepared, rollouts)):
         values = np.concatenate([one.values, two.values])
         episode = np.concatenate([one.episode, two.episode + count])
-        who = np.concatenate([one.individual, two.individual])
-        shape = (len(start), 1 + int(who.max(initial=0)), BINS)
-        place = np.ravel_multi_index((episode, who, _bin(values, _limits(values))), shape)
+        individual = np.concatenate([one.individual, two.individual])
+        shape = (len(start), 1 + int(individual.max(initial=0)), BINS)
+        place = np.ravel_multi_index((episode, individual, _bin(values, _limits(values))), shape)
         own = np.bincount(place, minlength=math.prod(shape)).reshape(shape)
         total = np.zeros((count, *shape[1:]))
         np.add.at(total, start, own)
@@ -230,8 +230,8 @@ def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
     with np.errstate(invalid="ignore", divide="ignore"):
         for series in Series.of(rollouts, prepared.rest):
             for name, kind, values in _step_series(series, prepared):
-                episode, _, who = np.nonzero(np.isfinite(values))
-                part = (values[np.isfinite(values)], series.chosen[episode], who)
+                episode, _, individual = np.nonzero(np.isfinite(values))
+                part = (values[np.isfinite(values)], series.chosen[episode], individual)
                 gathered.setdefault((name, kind), []).append(part)
     for (name, kind), parts in gathered.items():
         yield Component(name, kind, *(np.concatenate(side) for side in zip(*parts)))

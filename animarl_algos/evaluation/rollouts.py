@@ -43,9 +43,15 @@ class Rollouts(Episodes):
     FORMAT = "animarl-rollouts"
     MADE_BY = "make them with 'animarl evaluate'"
     EACH = {
-        "lengths": np.int64, "outcome": np.int8, "condition": np.int8, "cue": np.int8,
-        "demo": np.int64, "seed": np.int64, "repetition": np.int64, "components": np.float64,
-    }  # fmt: skip
+        "lengths": np.int64,
+        "outcome": np.int8,
+        "condition": np.int8,
+        "cue": np.int8,
+        "demo": np.int64,
+        "seed": np.int64,
+        "repetition": np.int64,
+        "components": np.float64,
+    }
     TUPLES = ("individuals", "roles", "component_names")
     META = ("method", "individuals", "roles", "dt", "component_names")
 

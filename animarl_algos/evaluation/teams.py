@@ -43,9 +43,13 @@ META = "meta"
 FOLDERS = ("indiv", "share")  # of the published weights, by condition
 FILES = ("p1_2.4.pth", "p2_2.4.pth", "e_2.4.pth")  # the two predators and the prey
 SEEN = (
-    "own position x", "own velocity x",
-    "other 1 position x", "other 1 velocity x", "other 2 position x", "other 2 velocity x",
-)  # fmt: skip
+    "own position x",
+    "own velocity x",
+    "other 1 position x",
+    "other 1 velocity x",
+    "other 2 position x",
+    "other 2 velocity x",
+)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,7 +14,7 @@ from animarl_algos.evaluation.classifier import PART, classify, tracked_rollouts
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, resting_step
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.learner.pretraining import shown_progress
+from animarl_algos.learner.progress import shown_progress
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.custom_species import arena_of

@@ -2,7 +2,7 @@
 
 A network learns from few animals, shrinks what it learns of their traits
 (:mod:`animarl_envs.species.traits`), and so simulates animals that are too much alike. How much is
-measured by rollouts: in each an individual is told the traits of some training animal, and what it
+measured by rollouts: in each an individual gets the traits of some training animal, and what it
 then does has traits of its own. The first on the second, by least squares, is the answer.
 """
 
@@ -18,22 +18,22 @@ from animarl_envs.array_types import Floats
 from animarl_envs.species.traits import TRAITS, Traits, episode_traits
 from animarl_envs.worlds.base import World
 
-LOUDEST = 2.0  # louder, moths no longer find their source
-HEARD = 0.2  # a weaker answer may be none, and nothing makes it one
+LARGEST_GAIN = 2.0  # with more, moths no longer find their source
+MIN_RESPONSE = 0.2  # a weaker answer may be none, and nothing makes it one
 
 
-class Listening(WrappedPolicy):
-    """A policy, and what of every slot was told in the first steps of episodes."""
+class TraitRecorder(WrappedPolicy):
+    """A policy that keeps the traits it observes in the first steps of episodes."""
 
     def __init__(self, policy: Policy, components: list[int]) -> None:
         super().__init__(policy)
         self._components = components
-        self.told: list[NDArray[Any]] = []
+        self.given: list[NDArray[Any]] = []
 
     def predict(self, observation: NDArray[Any], **known: Any) -> tuple[Any, Any]:
         """Return the policy's actions and state."""
         if np.all(known["episode_start"]):
-            self.told.append(observation[:, self._components].copy())
+            self.given.append(observation[:, self._components].copy())
         return self.policy.predict(observation, **known)
 
 
@@ -52,29 +52,35 @@ def trait_gains(
 ) -> Floats:
     """Factors ``(2,)`` on the traits, of which simulated animals differ as training animals do.
 
-    With an answer b and a standard deviation r of what the traits do not explain, animals told g
-    times their traits t differ by ``sqrt(b^2 g^2 var(t) + r^2)``, which is to be that of training
-    animals. At least 1, at most ``LOUDEST``; 1 for a trait in which animals do not differ, or to
-    which the policy does not answer. ``make_world`` is of the episodes to start from; its traits
+    With an answer b and a standard deviation r of what the traits do not explain, animals that get
+    g times their traits t differ by ``sqrt(b^2 g^2 var(t) + r^2)``, which is to be that of training
+    animals. At least 1, at most ``LARGEST_GAIN``; 1 for a trait in which animals do not differ, or
+    to which the policy does not answer. ``make_world`` is of the episodes to start from; its traits
     are those of training animals, drawn anew for each rollout.
     """
     probe = make_world(1)
     components, demos = trait_components(probe), probe.demos
     assert demos is not None  # collect_rollouts starts from them
-    listening = Listening(policy, components)
+    recorder = TraitRecorder(policy, components)
     made = collect_rollouts(
-        make_world, listening, method="traits", seed=seed, cue=cue,
+        make_world,
+        recorder,
+        method="traits",
+        seed=seed,
+        cue=cue,
         repetitions=max(1, round(ROLLOUTS / demos.num_episodes)),
-    )  # fmt: skip
-    told = np.concatenate(listening.told).astype(np.float64)
-    shown = episode_traits(made.positions, made.lengths, made.dt) - traits.centre[made.condition]
-    shown = (shown / traits.scale).reshape(-1, len(TRAITS))
-    shown -= shown.mean(axis=0)
-    told -= told.mean(axis=0)
-    answer = np.diag(np.linalg.lstsq(told, shown, rcond=None)[0])
-    given_variance, wanted = told.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
-    unexplained = shown.var(axis=0) - answer**2 * given_variance
-    gains, heard = np.ones(len(TRAITS)), answer > HEARD
-    needed = np.sqrt(np.maximum(wanted - unexplained, 0.0)[heard] / given_variance[heard])
-    gains[heard] = np.clip(needed / answer[heard], 1.0, LOUDEST)
+    )
+    given = np.concatenate(recorder.given).astype(np.float64)
+    simulated = (
+        episode_traits(made.positions, made.lengths, made.dt) - traits.centre[made.condition]
+    )
+    simulated = (simulated / traits.scale).reshape(-1, len(TRAITS))
+    simulated -= simulated.mean(axis=0)
+    given -= given.mean(axis=0)
+    answer = np.diag(np.linalg.lstsq(given, simulated, rcond=None)[0])
+    given_variance, wanted = given.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
+    unexplained = simulated.var(axis=0) - answer**2 * given_variance
+    gains, answers = np.ones(len(TRAITS)), answer > MIN_RESPONSE
+    needed = np.sqrt(np.maximum(wanted - unexplained, 0.0)[answers] / given_variance[answers])
+    gains[answers] = np.clip(needed / answer[answers], 1.0, LARGEST_GAIN)
     return gains

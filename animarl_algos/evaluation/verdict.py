@@ -25,7 +25,7 @@ from animarl_algos.evaluation.laws import LAW, Law
 from animarl_algos.evaluation.metrics import summary_table
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing
 from animarl_algos.evaluation.ranks import rank_recordings
-from animarl_algos.evaluation.realism import REFERENCES, realism
+from animarl_algos.evaluation.realism import realism
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval, interval
 from animarl_algos.evaluation.verdict_rows import (
@@ -129,14 +129,6 @@ class Verdict:
     def realism(self) -> Interval:
         """The realism score."""
         return UNDEFINED if self.components is None else interval(self.components.iloc[-1])
-
-    @property
-    def realism_beside(self) -> dict[str, float]:
-        """The scores that realism is read beside, by name."""
-        if self.components is None:
-            return {}
-        total = self.components.iloc[-1]
-        return {name: float(total[name]) for name in REFERENCES if name in total}
 
     def rows(self) -> list[Row]:
         """Return the rows of the table."""

@@ -192,9 +192,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         if isinstance(env, str):
             env, demonstrations = make_environment(env, demonstrations)
         named = {"policy": policy_name(policy), "learning_rate": learning_rate}
+        named["offline_epochs"] = given.pop("offline_epochs", None)
         given |= {name: value for name, value in named.items() if value is not None}
-        if given.get("offline_epochs", 0) is None:
-            del given["offline_epochs"]
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
         if settings is None:

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from animarl_algos.data.vec_env import SlotLayout, declared_feedback, feedback_of
 from animarl_algos.learner.checkpoint import save_checkpoint
-from animarl_algos.learner.pretraining import shown_progress
+from animarl_algos.learner.progress import shown_progress
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Count, check_value

@@ -8,7 +8,6 @@ and stops when it is out of patience, so that individuals trained together end a
 Those that share a network keep and stop by the mean of their figures.
 """
 
-import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -19,10 +18,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from stable_baselines3.common.logger import Logger
-from tqdm import tqdm as lines
-from tqdm.auto import tqdm
 
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.learner.progress import shown_progress
 from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.learner.updates import Totals, minibatch_values, update
 from animarl_algos.losses.terms import Phase, Recipe, Selection
@@ -36,7 +34,6 @@ from animarl_envs.errors import InputError
 Weights = dict[str, torch.Tensor]
 Figures = dict[str, float]
 MOST_NAMES = 4  # that a warning lists
-LOG_EVERY = 30.0  # [s] between lines of progress where there is no terminal
 MOST_EPISODES = 16
 """Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
 
@@ -239,10 +236,10 @@ class Pretraining:
             return  # its values are no logits
         progress, individuals = self.progress, self.policy.individuals
         name, uninformative = "val/cross_entropy_minus_marginal", []
-        for k, who in enumerate(individuals):
+        for k, individual in enumerate(individuals):
             row = progress.history[progress.best_epochs[k] - 1]
             if own_figures(row, name, individuals)[k] >= 0:
-                uninformative.append(who)
+                uninformative.append(individual)
         if uninformative:
             warnings.warn(
                 f"the clone of {few_or_count(uninformative)} is no better than predicting action "
@@ -250,30 +247,6 @@ class Pretraining:
                 "demonstrations, more updates, or standardised inputs",
                 stacklevel=4,
             )
-
-
-class Log:
-    """Standard error where nobody watches: what a terminal writes over is a line of its own."""
-
-    def write(self, text: str) -> None:
-        """Write a text, each state of the bar on a line of its own."""
-        sys.stderr.write(text.replace("\r", "\n"))
-
-    def flush(self) -> None:
-        """Flush the standard error."""
-        sys.stderr.flush()
-
-
-def shown_progress(
-    what: str, unit: str, total: int, *, done: int = 0, disable: bool = False
-) -> tqdm:
-    """Return a progress bar; in a log a line every ``LOG_EVERY`` s says how long it will take."""
-    known: dict[str, Any] = {"desc": what, "unit": unit, "total": total, "initial": done}
-    if sys.stderr.isatty():
-        return tqdm(**known, disable=disable)
-    form = "{desc}: {n_fmt} of {total_fmt} {unit}s after {elapsed}, about {remaining} left"
-    often: dict[str, Any] = {"miniters": 1, "mininterval": LOG_EVERY, "delay": LOG_EVERY}
-    return lines(**known, **often, file=Log(), bar_format=form, disable=disable)
 
 
 def few_or_count(names: list[str]) -> str:
@@ -352,14 +325,16 @@ def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) 
             mean = shares.mean(0)
         mean = mean[mean > 0]
         marginal = float(-(mean * np.log(mean)).sum())
-        figures.append({
-            "cross_entropy": hard,
-            "label_cross_entropy": soft,
-            "cross_entropy_minus_marginal": soft - marginal,
-            "mean_rank": float(rank.mean()),
-            "top_1": float((rank <= 1).mean()),
-            "top_3": float((rank <= 3).mean()),
-        })  # fmt: skip
+        figures.append(
+            {
+                "cross_entropy": hard,
+                "label_cross_entropy": soft,
+                "cross_entropy_minus_marginal": soft - marginal,
+                "mean_rank": float(rank.mean()),
+                "top_1": float((rank <= 1).mean()),
+                "top_3": float((rank <= 3).mean()),
+            }
+        )
         if shown.treatment_accuracy is not None:
             figures[-1]["treatment_balanced_accuracy"] = shown.treatment_accuracy[len(figures) - 1]
     row: Figures = {}
@@ -372,7 +347,7 @@ def named_figures(name: str, individuals: tuple[str, ...], values: NDArray[np.fl
     """Return the mean over individuals, and where there are several each one's own."""
     row = {name: float(values.mean())}
     if len(values) > 1:
-        row |= {f"{name}/{who}": float(v) for who, v in zip(individuals, values)}
+        row |= {f"{name}/{one}": float(v) for one, v in zip(individuals, values)}
     return row
 
 
@@ -380,7 +355,7 @@ def own_figures(row: Figures, name: str, individuals: tuple[str, ...]) -> list[f
     """Return each individual's own figure of :func:`named_figures`."""
     if len(individuals) == 1:
         return [row[name]]
-    return [row[f"{name}/{who}"] for who in individuals]
+    return [row[f"{name}/{one}"] for one in individuals]
 
 
 def demonstrated_rank(values: NDArray[np.floating], actions: NDArray[np.integer]) -> Floats:

@@ -458,7 +458,8 @@ def check_setting_combinations(
 
 SB3_NAMES_WITH_FIXED_VALUE = {
     "activation_fn": (
-        nn.ReLU, "hidden layers are rectified here, so give torch.nn.ReLU or leave it out",
+        nn.ReLU,
+        "hidden layers are rectified here, so give torch.nn.ReLU or leave it out",
     ),
     "features_extractor_class": (
         FlattenExtractor,
@@ -466,7 +467,7 @@ SB3_NAMES_WITH_FIXED_VALUE = {
         "features into the observation with a wrapper",
     ),
     "features_extractor_kwargs": (None, "flattening takes none, so leave it out"),
-}  # fmt: skip
+}
 """Names of stable-baselines3 that may say what the networks do anyway, and why nothing else."""
 
 

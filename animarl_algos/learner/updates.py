@@ -214,9 +214,17 @@ def sequence_priorities(minibatch: MinibatchValues) -> Floats | None:
 
 
 BY_STEP = (
-    "observations", "previous_actions", "actions", "rewards", "penalties", "terminated", "mask",
-    "labels", "action_penalties", "label_shares",
-)  # fmt: skip
+    "observations",
+    "previous_actions",
+    "actions",
+    "rewards",
+    "penalties",
+    "terminated",
+    "mask",
+    "labels",
+    "action_penalties",
+    "label_shares",
+)
 """Fields of a batch whose second axis is time."""
 
 

@@ -111,9 +111,17 @@ def _forward(gates, hidden_n, hidden, state, weight, bias, active, scratch):  # 
 
 @jit(fastmath={"contract", "nsz"})
 def _backward(  # type: ignore[no-untyped-def]
-    grad_hidden, gates, hidden_n, hidden, state, weight_back, active,
-    grad_gates, grad_hidden_n, carried,
-):  # fmt: skip
+    grad_hidden,
+    gates,
+    hidden_n,
+    hidden,
+    state,
+    weight_back,
+    active,
+    grad_gates,
+    grad_hidden_n,
+    carried,
+):
     individuals, rows, units = hidden.shape
     for k in range(individuals):
         end = rows

@@ -380,9 +380,18 @@ def head_units(features, flag, flagged, weight, bias, head):  # type: ignore[no-
 
 @jit(fastmath={"contract", "nsz"})
 def _decide(  # type: ignore[no-untyped-def]
-    observation, previous_action, hidden, q_values,
-    settings, statistics, encoder_weights, encoder_biases, dueling, gru, scratch,
-):  # fmt: skip
+    observation,
+    previous_action,
+    hidden,
+    q_values,
+    settings,
+    statistics,
+    encoder_weights,
+    encoder_biases,
+    dueling,
+    gru,
+    scratch,
+):
     """Fill ``q_values`` (S, actions), overwrite ``hidden`` (S, H); slot s is individual s mod K.
 
     Where the previous action is below zero, values are zero and the hidden state stays.

@@ -16,9 +16,22 @@ from animarl_algos.losses import terms
 from animarl_envs.errors import InputError
 
 __all__ = [
-    "BC", "DQAAS", "DQCIL", "DQDIL", "DQN", "QRBC", "QRDQAAS", "QRDQCIL", "QRDQDIL", "QRDQN",
-    "RECIPES", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
-]  # fmt: skip
+    "BC",
+    "DQAAS",
+    "DQCIL",
+    "DQDIL",
+    "DQN",
+    "QRBC",
+    "QRDQAAS",
+    "QRDQCIL",
+    "QRDQDIL",
+    "QRDQN",
+    "RECIPES",
+    "NamedRecipe",
+    "QRSoftBC",
+    "SoftBC",
+    "named_recipe",
+]
 
 
 class DQN(SequenceQLearning, stable_baselines3.DQN):  # type: ignore[misc]

@@ -97,9 +97,17 @@ def check_memory(arrays: Sequence[Any], setting: str) -> None:
 
 
 _SETTINGS = (
-    "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
-    "stride", "burn_in", "state_size", "prioritized", "max_episodes",
-)  # fmt: skip
+    "buffer_size",
+    "observation_dim",
+    "num_individuals",
+    "num_actions",
+    "max_episode_steps",
+    "stride",
+    "burn_in",
+    "state_size",
+    "prioritized",
+    "max_episodes",
+)
 """What must be equal for a saved state to fit a memory."""
 _CURSOR = ("oldest_serial", "next_serial", "next_row", "rows_used", "num_episodes")
 """Where the ring stands, as a saved state has it."""

@@ -201,9 +201,21 @@ def _gather(frames, sequences, slots, no_action):  # type: ignore[no-untyped-def
                         shares[k, t, b, i] = frames.label_shares[row, k, i]
                     row = row + 1 if row + 1 < rows else 0
     arrays = (
-        observations, previous_actions, actions, rewards, penalties, terminated, mask,
-        starts, lengths, labels, condition, initial_state, scored, shares,
-    )  # fmt: skip
+        observations,
+        previous_actions,
+        actions,
+        rewards,
+        penalties,
+        terminated,
+        mask,
+        starts,
+        lengths,
+        labels,
+        condition,
+        initial_state,
+        scored,
+        shares,
+    )
     return arrays, burn_in
 
 
@@ -231,7 +243,18 @@ def gather(
 
 
 GATHERED = (
-    "observations", "previous_actions", "actions", "rewards", "penalties", "terminated", "mask",
-    "starts", "lengths", "labels", "condition", "initial_state", "action_penalties",
+    "observations",
+    "previous_actions",
+    "actions",
+    "rewards",
+    "penalties",
+    "terminated",
+    "mask",
+    "starts",
+    "lengths",
+    "labels",
+    "condition",
+    "initial_state",
+    "action_penalties",
     "label_shares",
-)  # fmt: skip
+)

@@ -19,7 +19,8 @@ from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, wr
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.checkpoint import summarise_error
-from animarl_algos.learner.pretraining import few_or_count, shown_progress
+from animarl_algos.learner.pretraining import few_or_count
+from animarl_algos.learner.progress import shown_progress
 from animarl_algos.losses.terms import Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs

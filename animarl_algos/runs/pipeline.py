@@ -23,7 +23,7 @@ from animarl_algos.learner.checkpoint import (
     load_checkpoint,
     steps_done,
 )
-from animarl_algos.learner.pretraining import shown_progress
+from animarl_algos.learner.progress import shown_progress
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE

@@ -1,7 +1,6 @@
 """From the rows of a table to tracks, once the part of each column is known."""
 
 import itertools
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -104,7 +103,6 @@ def tracks_of_rows(
     for at in range(len(rows.recordings)):
         alone = len(rows.recordings) == 1  # a slice, since copies of a gigabyte are felt
         own = slice(None) if alone else np.flatnonzero(rows.recording == at)
-        record = _place_rows(table, columns, rows, own, frames[own], heading)
         tracks.append(
             Tracks(
                 recording=rows.recordings[at],
@@ -113,7 +111,7 @@ def tracks_of_rows(
                 y_down=y_down,
                 start_time=float(start[at]),
                 provenance=provenance,
-                **record,
+                **_place_rows(table, columns, rows, own, frames[own], heading),
             )
         )
     return centre_arenas(tracks) if columns.arena else tracks
@@ -243,7 +241,7 @@ def _place_rows(
     individuals = list(dict.fromkeys(one.individual or LONE for one in columns.positions))
     place = np.zeros(1, dtype=np.int64)
     if rows.names:
-        individuals, place = _in_natural_order(rows.names, rows.individual[own])
+        individuals, place = tables.in_natural_order(rows.names, rows.individual[own])
     parts = rows.points or list(dict.fromkeys(one.keypoint for one in columns.positions))
     first = int(frames.min())
     shape = (int(frames.max()) + 1 - first, len(individuals), len(parts))
@@ -336,16 +334,3 @@ def _notes_on(columns: Columns, points: Sequence[str]) -> list[str]:
     if columns.landmarks:
         notes.append(f"taken for landmarks, not for animals: {', '.join(columns.landmarks)}")
     return notes
-
-
-def _in_natural_order(entries: list[str], numbers: Ints) -> tuple[list[str], Ints]:
-    """Return the entries that occur, 2 before 10, and the place of each among them."""
-
-    def pieces(number: int) -> list[tuple[int, int, str]]:
-        parts = re.findall(r"\d+|\D+", entries[number])
-        return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
-
-    order = sorted(np.unique(numbers).tolist(), key=pieces)
-    place = np.zeros(len(entries), dtype=np.int64)
-    place[order] = np.arange(len(order))
-    return [entries[number] for number in order], place

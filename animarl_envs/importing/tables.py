@@ -537,3 +537,16 @@ def _pyarrow(part: str) -> tuple[Any, Any]:
     """Return the package Arrow and one of its modules."""
     with require_extra("reading tables", "data"):
         return import_module("pyarrow"), import_module(f"pyarrow.{part}")
+
+
+def in_natural_order(entries: list[str], numbers: Ints) -> tuple[list[str], Ints]:
+    """Return the entries that occur, 2 before 10, and the place of each among them."""
+
+    def pieces(number: int) -> list[tuple[int, int, str]]:
+        parts = re.findall(r"\d+|\D+", entries[number])
+        return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+
+    order = sorted(np.unique(numbers).tolist(), key=pieces)
+    place = np.zeros(len(entries), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return [entries[number] for number in order], place

@@ -14,9 +14,19 @@ from animarl_envs.species import Species
 from animarl_envs.views.common import FocalView, Others, check_action, observation_space
 
 KEYS = {
-    "w": 0, "wa": 30, "q": 60, "a": 90, "z": 120, "sa": 150,
-    "s": 180, "sd": 210, "c": 240, "d": 270, "e": 300, "wd": 330,
-}  # fmt: skip
+    "w": 0,
+    "wa": 30,
+    "q": 60,
+    "a": 90,
+    "z": 120,
+    "sa": 150,
+    "s": 180,
+    "sd": 210,
+    "c": 240,
+    "d": 270,
+    "e": 300,
+    "wd": 330,
+}
 """Directions by key, counter-clockwise from the focus [deg]."""
 
 

@@ -70,7 +70,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 10_340,
     "animarl_algos.cli": 16_800,
     "animarl_algos.data": 8_560,
-    "animarl_algos.evaluation": 40_450,
+    "animarl_algos.evaluation": 40_300,
     "animarl_algos.learner": 17_800,
     "animarl_algos.losses": 3_200,
     "animarl_algos.networks": 11_960,
@@ -80,11 +80,11 @@ BUDGETS = {
     "animarl_algos.runs": 13_120,
     "animarl_algos.whatif": 16_750,
     "animarl_algos.zoo": 3_000,
-    "animarl_envs": 15_110,
+    "animarl_envs": 15_170,
     "animarl_envs.demos": 8_350,
     "animarl_envs.drawing": 9_350,
     "animarl_envs.fitting": 12_400,
-    "animarl_envs.importing": 52_550,
+    "animarl_envs.importing": 52_700,
     "animarl_envs.species": 6_500,
     "animarl_envs.views": 5_850,
     "animarl_envs.worlds": 34_200,
@@ -95,7 +95,7 @@ ALL_TOKENS = 315_500
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 2_680
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 30_210
+TEST_LINES = 30_224
 """Most lines of Python in the tests; they are to be 24,000."""
 
 

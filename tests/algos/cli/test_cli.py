@@ -25,7 +25,7 @@ from small_runs import few
 from animarl_algos.cli.main import COMMANDS, app
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.learner import pretraining
+from animarl_algos.learner import progress
 from animarl_algos.learner.callbacks import ProgressBar, with_progress_bar
 from animarl_algos.learner.checkpoint import steps_done
 from animarl_algos.runs.run import Run
@@ -386,11 +386,11 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_in_a_log(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert any(isinstance(callback, ProgressBar) for callback in with_progress_bar(None))
-    monkeypatch.setattr(pretraining, "LOG_EVERY", 0.01)
+    monkeypatch.setattr(progress, "LOG_EVERY", 0.01)
     said = {}
     for there in (True, False):
         monkeypatch.setattr(sys, "stderr", Terminal(there))
-        with pretraining.shown_progress("offline", "epoch", 4) as bar:
+        with progress.shown_progress("offline", "epoch", 4) as bar:
             for _ in range(4):
                 time.sleep(0.02)
                 bar.update()

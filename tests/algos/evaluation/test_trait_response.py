@@ -9,7 +9,7 @@ import torch
 from gymnasium import spaces
 
 from animarl_algos.evaluation.collect import MemorylessPolicy, collect_rollouts
-from animarl_algos.evaluation.trait_response import LOUDEST, trait_gains
+from animarl_algos.evaluation.trait_response import LARGEST_GAIN, trait_gains
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species.traits import Traits, episode_traits
@@ -47,7 +47,7 @@ def recorded() -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     ("strength", "low", "high"),
-    [(1.0, 1.0, 1.15), (0.6, 1.5, 1.8), (0.35, LOUDEST, LOUDEST), (0.0, 1.0, 1.0)],
+    [(1.0, 1.0, 1.15), (0.6, 1.5, 1.8), (0.35, LARGEST_GAIN, LARGEST_GAIN), (0.0, 1.0, 1.0)],
 )
 def test_traits_are_told_louder_to_who_shrinks_them(
     recorded: tuple[float, float], strength: float, low: float, high: float

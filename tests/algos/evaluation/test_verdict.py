@@ -333,7 +333,7 @@ def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
     assert found.areas["auc"]["floor"].estimate == 0.5  # tracked without any error
     assert found.areas["auc"]["ceiling"].estimate > 0.95
     assert set(found.areas["auc_sequence"]) == {"among"}
-    assert 0 < found.realism.estimate < found.realism_beside["ceiling"]
+    assert 0 < found.realism.estimate < found.components.iloc[-1]["ceiling"]
     among = found.areas["auc"]["among"]
     assert among.low < 0.5 < among.high
     refuses("track the evaluated ones", verdict, demos, slow, seed=0, floor=others)
