@@ -232,6 +232,8 @@ def test_simulated_tracks_are_written_as_import_reads_them(
         tracks = read_tracks(tmp_path / file)
         assert {(one.frame_rate, one.unit) for one in tracks} == {(10.0, unit)}
         first = str(pd.read_csv(file)["recording"][0])
-        (place,) = (one.positions[0, :, 0] / size for one in tracks if one.recording == first)
+        (track,) = (one for one in tracks if one.recording == first)
+        order = [track.individuals.index(name) for name in rollouts.individuals]
+        place = track.positions[0, order, 0] / size
         np.testing.assert_allclose(place, rollouts.path(0)[0], atol=1e-6)
     refused(animarl("simulate", "fly", "--out", "a.txt"), "choose .csv or .parquet")
