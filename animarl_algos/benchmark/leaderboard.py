@@ -125,17 +125,17 @@ def _write_costs(plan: Plan, out: Path, command: str) -> None:
         row["row"] = f"{row['data']}/{row['method']}"
     for name, some in pd.DataFrame(rows, columns=COSTS).groupby("row", sort=False):
         seeds, parameters = some["seed"].nunique(), some["parameters"].iloc[0]
-        told = NOTHING if pd.isna(parameters) else f"{int(parameters):,}"
+        size = NOTHING if pd.isna(parameters) else f"{int(parameters):,}"
         seconds = some["processor_seconds"].sum() / seeds
-        lines.append([str(name), str(seeds), f"{seconds:.1f}", told])
+        lines.append([str(name), str(seeds), f"{seconds:.1f}", size])
     total = sum(row["processor_seconds"] for row in rows)
     made = {"command": f"`{command}`"} if command else {}
     made |= machine() | {"all cells": f"{total:.0f} s of processor time"}
-    said = "\n".join(f"- {name}: {value}" for name, value in made.items())
+    versions_list = "\n".join(f"- {name}: {value}" for name, value in made.items())
     with write_then_rename(out / "costs.md") as part:
         head = ("row", "seeds", "processor time of a seed (s)", "parameters")
         table = markdown_table(head, lines)
-        part.write_text(f"# What it cost\n\n{said}\n\n{table}\n", encoding="utf-8")
+        part.write_text(f"# What it cost\n\n{versions_list}\n\n{table}\n", encoding="utf-8")
 
 
 def _write_csv(path: Path, rows: Iterable[dict[str, Any]]) -> None:

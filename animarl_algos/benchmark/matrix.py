@@ -123,13 +123,13 @@ class Matrix(Checked):
 
         Split as they are, or as often as there are folds.
         """
-        found = {name: load_packaged(name) for name in self.species}
-        found |= {name: read(Path(file), None) for name, file in self.files.items()}
+        sets = {name: load_packaged(name) for name in self.species}
+        sets |= {name: read(Path(file), None) for name, file in self.files.items()}
         dealt = {
             name: tuple(cross_validated(demos, self.folds[name]))
             if name in self.folds
             else (self._fewer(demos),)
-            for name, demos in found.items()
+            for name, demos in sets.items()
         }
         for name, (demos, *_) in dealt.items():
             for split in SPLITS:
@@ -155,7 +155,7 @@ class Matrix(Checked):
         around = pipeline_settings(environment_id(species), self.preset)
         around |= {"preset": self.preset}
         around |= {k: v for k in AROUND if (v := getattr(self, k)) is not None}
-        asked = RunSettings(
+        wanted = RunSettings(
             file=name,
             species=species,
             algo=algo,
@@ -166,16 +166,16 @@ class Matrix(Checked):
             overrides=dict(self.settings.get(algo, {})),
             **around,
         )
-        learner = asked.learner()
+        learner = wanted.learner()
         online = bool(named_recipe(algo).algorithm.recipe.online)
         steps = self.steps if self.steps is not None and online else learner.n_timesteps
-        return with_recipe(asked.changed(steps=steps, copies=learner.n_envs), demos)[0]
+        return with_recipe(wanted.changed(steps=steps, copies=learner.n_envs), demos)[0]
 
     def world_settings(self, name: str, demos: Demonstrations) -> RunSettings:
         """Return those of the world that all share, and that those without training act in."""
-        asked = self.run_settings(name, demos, WORLD_ALGO, 0)
+        of_world = self.run_settings(name, demos, WORLD_ALGO, 0)
         seen = {"env_kwargs": {"observation": "full"}}
-        return asked.changed(overrides=seen, copies=WORLD_COPIES)
+        return of_world.changed(overrides=seen, copies=WORLD_COPIES)
 
 
 def _refuse_unknown(key: str, names: Iterable[str], known: Iterable[str]) -> None:

@@ -120,17 +120,17 @@ class CheckedPolicy:
                 actions, state = self._policy.predict(observation, state=state, **known)
             else:
                 actions = self._policy(observation)
-            found = np.asarray(actions)
-        wrong = f"{found.dtype} of shape {found.shape}"
-        if found.shape == (slots,) and found.dtype.kind in "iuf":
-            bad = found[~((found == np.floor(found)) & (found >= 0) & (found <= most))]
+            chosen = np.asarray(actions)
+        wrong = f"{chosen.dtype} of shape {chosen.shape}"
+        if chosen.shape == (slots,) and chosen.dtype.kind in "iuf":
+            bad = chosen[~((chosen == np.floor(chosen)) & (chosen >= 0) & (chosen <= most))]
             wrong = f"action {bad[0]:g}" if len(bad) else ""
         if wrong:
             raise InputError(
                 f"method {self._name}: its predict gave {wrong}: give {slots} whole numbers from 0 "
                 f"to {most}"
             )
-        return found.astype(np.int64), state
+        return chosen.astype(np.int64), state
 
 
 def one_line(text: object) -> str:
@@ -184,10 +184,10 @@ def load_factory(place: str) -> Callable[[MethodSetting], Any]:
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)
     with errors_as_input_errors(f"method {place!r}: it cannot be imported:", "check its module"):
-        found = getattr(importlib.import_module(module), name)
-    if not callable(found):
+        attribute = getattr(importlib.import_module(module), name)
+    if not callable(attribute):
         raise InputError(f"method {place!r}: it is no callable: name a factory")
-    made: Callable[[MethodSetting], Any] = found
+    made: Callable[[MethodSetting], Any] = attribute
     return made
 
 
@@ -296,12 +296,12 @@ class Steering(collect.MemorylessPolicy):
     def __init__(self, scenario: Scenario, keep: float) -> None:
         self._species, self._keep = scenario.species, keep
         names = [one.name for one in make_world(scenario, 1).observation_components]
-        found = [pair for pair in OWN_VELOCITY if set(pair) <= set(names)]
-        if not found:
+        velocities = [pair for pair in OWN_VELOCITY if set(pair) <= set(names)]
+        if not velocities:
             raise InputError(
                 f"{self._species.name}: what is observed holds no velocity of one's own"
             )
-        self._columns = [names.index(name) for name in found[0]]
+        self._columns = [names.index(name) for name in velocities[0]]
 
     def act(self, observation: NDArray[np.floating]) -> Ints:
         """Return one action per slot."""
@@ -349,12 +349,16 @@ class NearestSegment:
         condition = np.repeat(train.condition, train.lengths)
         # By individual and condition: the tree, its frames among all, the scale of each input.
         self._libraries: dict[tuple[int, int], tuple[cKDTree, Ints, Floats]] = {}
-        for who in range(seen.shape[1]):
-            spread = seen[going, who].std(axis=0)
+        for individual in range(seen.shape[1]):
+            spread = seen[going, individual].std(axis=0)
             scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
             for of in np.unique(condition).tolist():
                 frames = np.flatnonzero(going & (condition == of))
-                self._libraries[who, of] = cKDTree(seen[frames, who] * scale), frames, scale
+                self._libraries[individual, of] = (
+                    cKDTree(seen[frames, individual] * scale),
+                    frames,
+                    scale,
+                )
         self._name, self._individuals = demos.name, seen.shape[1]
         self._rng = np.random.default_rng(seed)
         self._steps = max(1, round(SEGMENT / species.dt))
@@ -364,14 +368,14 @@ class NearestSegment:
     ) -> tuple[Ints, tuple[Ints, Ints]]:
         """Return one action per slot; the state is the frame of each and the steps left of it."""
         slots = len(observation)
-        who = np.arange(slots) % self._individuals
+        individual = np.arange(slots) % self._individuals
         frame, left = np.array([[-1], [1]]).repeat(slots, axis=1) if state is None else state
         frame, left = frame + 1, left - 1
-        anew = (left == 0) | (self._actions[frame, who] < 0)
+        anew = (left == 0) | (self._actions[frame, individual] < 0)
         anew |= np.asarray(episode_start, dtype=bool)
         condition = observation[:, -1].astype(np.int64)
-        for own, of in {(int(w), int(c)) for w, c in zip(who[anew], condition[anew])}:
-            asking = np.flatnonzero(anew & (who == own) & (condition == of))
+        for own, of in {(int(w), int(c)) for w, c in zip(individual[anew], condition[anew])}:
+            asking = np.flatnonzero(anew & (individual == own) & (condition == of))
             if (own, of) not in self._libraries:
                 raise InputError(
                     f"{self._name}: no training episode is of condition {of}: deal the splits "
@@ -382,4 +386,4 @@ class NearestSegment:
             near = tree.query(observation[asking, :-1] * scale, k=among)[1].reshape(number, among)
             drawn = self._rng.integers(among, size=number)
             frame[asking], left[asking] = frames[near[np.arange(number), drawn]], self._steps
-        return self._actions[frame, who], (frame, left)
+        return self._actions[frame, individual], (frame, left)

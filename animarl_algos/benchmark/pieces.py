@@ -245,13 +245,13 @@ class Scoring(Piece):
         first = self.cells[0]
         made = [(cell.world_run(out).demos, cell.rollouts(out)) for cell in self.cells]
         joined = Rollouts.concatenate([rollouts for _, rollouts in made], first.method)
-        found = (
+        result = (
             score(joined, made[0][0], resamples=self.resamples)
             if first.fold is None
             else crossed_score(made, first.method, resamples=self.resamples)
         )
         labels = {"data": self.data, "kind": first.kind}
-        write_json(self.folder(out) / self.RESULT, found.to_json() | labels)
+        write_json(self.folder(out) / self.RESULT, result.to_json() | labels)
 
     def result(self, out: Path) -> Score:
         """Return the score of a finished method."""

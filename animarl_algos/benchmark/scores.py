@@ -157,7 +157,7 @@ def _score(
 ) -> Score:
     """Against the recordings ``test``; ``beside``: others, each as if it began at a test start."""
     rng_verdict, rng_draws = np.random.default_rng(SEED).spawn(2)
-    found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
+    judged = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared(test, comparison_smoothing(test))
     counted = censored(rollouts.factual(test), test)
     draws = Draws.by(rng_draws, resamples)
@@ -176,16 +176,16 @@ def _score(
             colour=COLOURS.get(word, ""),
         )
 
-    for row in found.rows():
+    for row in judged.rows():
         value, word = Interval(row.value, row.low, row.high, row.reason), row.judgement
         # Over all folds each recording stands on one side itself and on the other as another's: a
         # classifier would learn to call it by the side on which it met it.
-        if row.measure in found.areas and others is None and rollouts.method == RECORDINGS:
-            value, word = found.areas[row.measure]["among"], ALIKE
+        if row.measure in judged.areas and others is None and rollouts.method == RECORDINGS:
+            value, word = judged.areas[row.measure]["among"], ALIKE
         put(row.measure, value, math.nan, word == ALIKE, row.unit, word)
-    scores = found.components
+    scores = judged.components
     others_score = math.nan if scores is None else float(scores.iloc[-1].get(OTHERS, math.nan))
-    put(REALISM, found.realism, others_score, found.realism.estimate >= others_score)
+    put(REALISM, judged.realism, others_score, judged.realism.estimate >= others_score)
     drawn, true = (
         summary_table(prepared, side) for side in (prepared.filtered(counted), prepared.recorded)
     )
@@ -204,7 +204,7 @@ def _score(
         starts=len(np.unique(counted.demo)),
         rollouts=len(counted),
         covers=covers(data),
-        words=found.headline,
+        words=judged.headline,
         measures=[rows[key] for key in labels() if key in rows],
         energies=energies.cell_means,
     )

@@ -95,15 +95,15 @@ def benchmark_command(
         )
     methods = dict(parse_method(given) for given in method or [])
     whole = plan(matrix, methods, matrix_file(preset, config))
-    asked = whole.only(only or [])
+    wanted = whole.only(only or [])
     claim_folder(out, mark=not show)
     console = PlainConsole(least_width=100)
     if show:
-        console.print(_listing(asked, out))
+        console.print(_listing(wanted, out))
         return
-    bars = StageBars(asked, out, console)
+    bars = StageBars(wanted, out, console)
     with bars.progress:
-        for piece, error in perform_all(asked.stages, out, processes, backend):
+        for piece, error in perform_all(wanted.stages, out, processes, backend):
             bars.update(piece, error)
     for piece, error in bars.failed:
         console.print(f"\n{piece.name} failed: {error}")
@@ -125,25 +125,25 @@ def score_command(file: Path, species: str) -> None:
 
       animarl benchmark score runs/mine/rollouts/BC.npz --species agent
     """
-    found = score_submission(file, species)
+    result = score_submission(file, species)
     console = PlainConsole(least_width=100)
-    table = Table(title=f"{found.method} on {found.data}: {found.words}")
+    table = Table(title=f"{result.method} on {result.data}: {result.words}")
     for heading in ("measure", "value [95 % interval]", "null", "remark"):
         table.add_column(heading)
-    for key, title in titles(found).items():
-        row = found.by_measure[key]
+    for key, title in titles(result).items():
+        row = result.by_measure[key]
         table.add_row(title, with_interval(interval(row)), number(row["null"]), row["reason"])
     console.print(table)
     console.print(
-        f"{found.rollouts} rollouts from {found.starts} test starts; intervals cover "
-        f"{found.covers}."
+        f"{result.rollouts} rollouts from {result.starts} test starts; intervals cover "
+        f"{result.covers}."
     )
 
 
 class StageBars:
     """Progress bars of the stages: finished pieces, failures, and about how long it will take."""
 
-    def __init__(self, asked: Plan, out: Path, console: Console) -> None:
+    def __init__(self, wanted: Plan, out: Path, console: Console) -> None:
         self.failed: list[tuple[Piece, str]] = []
         self.progress = Progress(
             "{task.description}",
@@ -154,7 +154,7 @@ class StageBars:
             console=console,
         )
         self._tasks: dict[str, TaskID] = {}
-        for title, stage in zip(STAGES, asked.stages):
+        for title, stage in zip(STAGES, wanted.stages):
             finished = sum(piece.finished(out) for piece in stage)
             task = self.progress.add_task(title, total=len(stage), completed=finished, failures="")
             self._tasks |= {piece.name: task for piece in stage}
@@ -170,9 +170,9 @@ class StageBars:
         self.progress.update(task, failures=f"{failures} failed")
 
 
-def _listing(asked: Plan, out: Path) -> Table:
+def _listing(wanted: Plan, out: Path) -> Table:
     table = Table("cell", "kind", "key", "state")
-    for cell in asked.cells:
+    for cell in wanted.cells:
         state = "finished" if cell.finished(out) else cell.error(out) or "to do"
         table.add_row(cell.name, cell.kind, cell.key, state)
     return table

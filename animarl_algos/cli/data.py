@@ -38,7 +38,7 @@ app = typer.Typer(
 )
 FILE = "A demonstrations file, or a packaged set, such as agent or shoal."
 OUT = typer.Option(help="Where to write.")
-SHOWN_WARNINGS = 20
+MOST_WARNINGS = 20
 
 
 @app.callback()
@@ -115,9 +115,9 @@ def compare_command(
     register_measures(measure)
     names = None if conditions is None else conditions.split(",")
     questions = Questions.parse(tolerance or (), primary or ())
-    found = compare_conditions(load(file), names, questions, seed=seed)
+    compared = compare_conditions(load(file), names, questions, seed=seed)
     console = wide_console()
-    console.print(terminal_table(conditions_as_table(found), found.headline, wrapped=True))
+    console.print(terminal_table(conditions_as_table(compared), compared.headline, wrapped=True))
 
 
 @app.command("check")
@@ -136,10 +136,10 @@ def check_command(file: str, out: Path | None = None) -> None:
     rows = episode_table(demos)
     console = wide_console()
     warnings = suspicions(demos, rows)
-    for warning in warnings[:SHOWN_WARNINGS]:
+    for warning in warnings[:MOST_WARNINGS]:
         console.print(f"check: {warning}")
-    if len(warnings) > SHOWN_WARNINGS:
-        console.print(f"check: and {len(warnings) - SHOWN_WARNINGS} more of this kind")
+    if len(warnings) > MOST_WARNINGS:
+        console.print(f"check: and {len(warnings) - MOST_WARNINGS} more of this kind")
     if out is not None:
         write_csv(out, rows)
         console.print(f"Wrote {out}")
@@ -278,31 +278,33 @@ def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstratio
         f"{','.join(str(i % 2) for i in range(len(files)))}",
     )
     names = conditions_of(words, "--conditions")
-    told = [
+    labelled = [
         replace(part, condition=np.full(len(part), names.index(word), dtype=np.int8))
         for part, word in zip(parts, words, strict=True)
     ]
-    found = join(told, place)
+    joined = join(labelled, place)
     if len(names) < 2:
-        return found
-    return replace(found, provenance={**found.provenance, "conditions": list(names)})
+        return joined
+    return replace(joined, provenance={**joined.provenance, "conditions": list(names)})
 
 
 def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
     """Return sentences about episodes and splits that should be looked at again."""
-    found = []
+    sentences = []
     for name in demos.individuals:
         top = np.array([row[f"top_speed_{name}"] for row in rows])
         usual = float(np.median(top))
         for row in rows:
             if row[f"top_speed_{name}"] > 5 * usual > 0:
-                found.append(
+                sentences.append(
                     f"episode {row['episode']} ({row['recording']}): {name} reaches "
                     f"{row[f'top_speed_{name}']:.3g}, five times the usual {usual:.3g}: a jump?"
                 )
             if row[f"path_length_{name}"] == 0:
-                found.append(f"episode {row['episode']} ({row['recording']}): {name} never moves")
-    found += [
+                sentences.append(
+                    f"episode {row['episode']} ({row['recording']}): {name} never moves"
+                )
+    sentences += [
         f"split {split} is empty: deal again with 'animarl data split'"
         for split in SPLITS
         if not (demos.split == split).any()
@@ -313,8 +315,8 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
         if len(np.unique(demos.split[demos.recording == name])) > 1
     ]
     if torn:
-        found.append(
+        sentences.append(
             f"{len(torn)} of {len(np.unique(demos.recording))} recordings lie in several splits, "
             f"{torn[0]} first"
         )
-    return hints(demos) + found
+    return hints(demos) + sentences

@@ -33,10 +33,10 @@ Row = tuple[str, str]
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
 STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
 SMOOTH = 2.0  # cutoff against such noise [Hz]
-SHOWN_COLUMNS = 8
+MOST_COLUMNS = 8
 CM = {"mm": 0.1, "cm": 1.0, "m": 100.0}
 FAST_LENGTHS, FAST_CM = 8.0, 1500.0  # a second; few animals are faster, unless they fly
-SHOWN_DOUBTS = 4
+MOST_DOUBTS = 4
 COMPARED = 1000  # frames by which individuals are compared
 CONSTANT = 0.05  # spread of a distance by its mean: that of parts of one body is less
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
@@ -111,13 +111,13 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
 def describe_recipe(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
     """Return what an import is going to do: all that its recipe says, part by part."""
 
-    def said(value: Any) -> str:
+    def in_words(value: Any) -> str:
         return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
     def listed(entries: Mapping[str, Any]) -> str:
         given = {key: value for key, value in entries.items() if value not in (None, {}, "inf")}
         return "; ".join(
-            f"{key.replace('_', ' ')} {said(value)}"
+            f"{key.replace('_', ' ')} {in_words(value)}"
             for key, value in given.items()
             if value is not False
         )
@@ -132,21 +132,21 @@ def describe_frame_rate(demos: Demonstrations) -> str:
     """Return the frame rate of the recordings, and what says so."""
     stated = demos.provenance.get("frame_rate", {"hz": [1 / demos.dt], "from": "the file"})
     rates, slow = stated["hz"], max(stated["hz"]) < 1
-    shown = [f"{1 / rate if slow else rate:.6g}" for rate in (min(rates), max(rates))]
-    span = " to ".join(dict.fromkeys(shown))
+    limits = [f"{1 / rate if slow else rate:.6g}" for rate in (min(rates), max(rates))]
+    span = " to ".join(dict.fromkeys(limits))
     return f"{f'one frame every {span} s' if slow else f'{span} frames/s'}, from {stated['from']}"
 
 
 def _arena(demos: Demonstrations) -> str:
     arena, sizes = demos.arena, sorted(_unit_sizes(demos))
     words = {"square": "square, half side 1", "disc": "disc, radius 1", "open": "open field"}
-    said = words[arena.shape]
+    text = words[arena.shape]
     if math.isfinite(arena.boundary):
-        said += f", boundary {arena.boundary:g}"
+        text += f", boundary {arena.boundary:g}"
     if sizes:
         span = " to ".join(dict.fromkeys(f"{size:.4g}" for size in (sizes[0], sizes[-1])))
-        said += f"; an arena unit is {span} {_unit_name(demos)}"
-    return said
+        text += f"; an arena unit is {span} {_unit_name(demos)}"
+    return text
 
 
 def _condition_name(condition: int, demos: Demonstrations) -> str:
@@ -169,34 +169,34 @@ def hints(demos: Demonstrations) -> list[str]:
     from animarl_algos.evaluation.prepared import WINDOW
 
     provenance, counts = demos.provenance, {s: int((demos.split == s).sum()) for s in SPLITS}
-    found = []
+    sentences = []
     if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
-        found.append(
+        sentences.append(
             "nobody is pursued, so these are simulated as animals that go their own ways and see "
             "each other; if one is pursued name it by --target NAME, or the pursuer of all others "
             "by --pursuer NAME"
         )
     sizes = _unit_sizes(demos)
     if sizes and max(sizes) > UNLIKE * min(sizes):
-        found.append(
+        sentences.append(
             f"SCALES DIFFER: an arena unit is {min(sizes):.4g} to {max(sizes):.4g} "
             f"{_unit_name(demos)}, by recording, so speeds of different recordings do not compare: "
             "leave --scale-each out, or give one --arena-width"
         )
     if question := _question_speed(demos):
-        found.append(question)
+        sentences.append(question)
     if ignored := provenance.get("metadata_ignored"):
-        found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
-    found += provenance.get("notes", [])
+        sentences.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
+    sentences += provenance.get("notes", [])
     if unused := provenance.get("columns_not_used"):
         beside = sorted({name.lower() for name in unused} & set(GROUPS))
-        found.append(
-            f"columns that were not used: {', '.join(unused[:SHOWN_COLUMNS])}"
-            + ", ..." * (len(unused) > SHOWN_COLUMNS)
+        sentences.append(
+            f"columns that were not used: {', '.join(unused[:MOST_COLUMNS])}"
+            + ", ..." * (len(unused) > MOST_COLUMNS)
             + (f" ({', '.join(beside)} belongs in a --metadata table)" if beside else "")
         )
     if counts["test"] < FEWEST_TESTED:
-        found.append(
+        sentences.append(
             f"split test has {counted(counts['test'], 'episode')}, fewer than {FEWEST_TESTED}, so "
             "that an evaluation says little: record more, or cut shorter pieces by --piece SECONDS"
         )
@@ -207,22 +207,22 @@ def hints(demos: Demonstrations) -> list[str]:
         if count and missing:
             dealt = len(np.unique(demos.recording[demos.split == split]))
             again = "deal again by another --split-seed, or " if dealt >= len(known) else ""
-            found.append(
+            sentences.append(
                 f"split {split} has no episode of {', '.join(missing)}: {again}say the splits in a "
                 "--metadata table"
             )
     if unfilled := _total(demos, "untracked") - _total(demos, "filled"):
-        found.append(
+        sentences.append(
             f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
             "--max-gap SECONDS"
         )
     if short := _total(demos, "too_short"):
-        found.append(
+        sentences.append(
             f"{counted(short, 'piece')} of fewer than two decisions were left out: "
             "fill gaps by --max-gap, or choose a higher --decision-rate"
         )
     if (median := float(np.median(demos.lengths - 1)) * demos.dt) < WINDOW:
-        found.append(
+        sentences.append(
             f"episodes last {median:.3g} s (median), less than the {WINDOW:g} s that a verdict "
             "looks at: it takes each as a whole, and sees no order beyond"
         )
@@ -237,7 +237,7 @@ def hints(demos: Demonstrations) -> list[str]:
         recordings = sum(
             bool(one.get("jumps") or one.get("identity_swaps")) for one in _cleaning(demos).values()
         )
-        found.append(
+        sentences.append(
             f"{counted(jumps, 'jump')} and {counted(swaps, 'swap')} of identities flagged in "
             f"{counted(recordings, 'recording')}, first {flags[0]}: look there"
             + ", or take jumps out by --drop-jumps" * bool(kept)
@@ -249,13 +249,13 @@ def hints(demos: Demonstrations) -> list[str]:
         shares = zip(demos.kinds, persistence(demos), strict=True)
         jumpy = [f"{name}: {100 * share:.0f} %" for name, share in shares if share < STEADY]
         if jumpy:
-            found.append(
+            sentences.append(
                 "velocities are hardly kept from one step to the next "
                 f"({', '.join(jumpy)}): probably tracking noise, which makes simulated animals too "
                 f"slow: consider --smoothing {SMOOTH:g}, in Hz, above the fastest movement that "
                 "matters"
             )
-    return found
+    return sentences
 
 
 def _doubtful_individuals(demos: Demonstrations) -> list[str]:
@@ -266,7 +266,7 @@ def _doubtful_individuals(demos: Demonstrations) -> list[str]:
     names, bodies = demos.individuals, demos.positions[:: len(demos.positions) // COMPARED + 1]
     bodies = np.asarray(bodies, dtype=np.float64)
     travel = np.ptp(bodies, axis=0).max(axis=1)
-    found = [
+    sentences = [
         f"{name} never moves, so it may be a landmark: leave it out by --individuals "
         f"{','.join(names[:at] + names[at + 1 :])}"
         for at, name in enumerate(names)
@@ -278,71 +278,71 @@ def _doubtful_individuals(demos: Demonstrations) -> list[str]:
         farther = np.minimum(travel[at + 1 :], travel[at]) > mean
         for other in at + 1 + np.flatnonzero(farther & (mean > 0) & (spread < CONSTANT * mean)):
             left = names[:other] + names[other + 1 :]
-            found.append(
+            sentences.append(
                 f"{name} and {names[other]} keep their distance, so they may be parts of one body: "
                 f"if they are, take one by --individuals {','.join(left)}"
             )
-    return found[:SHOWN_DOUBTS]
+    return sentences[:MOST_DOUBTS]
 
 
 def automatic_decisions(demos: Demonstrations) -> list[str]:
     """Return what an import decided because nobody stated it."""
-    found = []
+    sentences = []
     recipe: Mapping[str, Any] = demos.provenance.get("recipe", {})
     stated = demos.provenance.get("roles_stated")
     if recipe.get("target") == "auto" and "target" in demos.roles and not stated:
         others = ", ".join(demos.individuals[:-1])
-        found.append(
+        sentences.append(
             f"{demos.individuals[-1]} is taken for the target, since it is approached most, by "
             f"{others}: otherwise name who is pursued by --target NAME, or --target none"
         )
     if not recipe.get("individuals") and not demos.synthetic:
-        found += _doubtful_individuals(demos)
+        sentences += _doubtful_individuals(demos)
     scaling, options = recipe.get("scaling", {}), recipe.get("options", {})
     in_pixels = scaling.get("px_per_cm") or demos.provenance.get("unit") == "px"
-    asked = {reader.name for reader in available_readers() if "y_down" in reader.options}
-    if in_pixels and recipe.get("source") in asked and "y_down" not in options:
-        found.append(
+    sources = {reader.name for reader in available_readers() if "y_down" in reader.options}
+    if in_pixels and recipe.get("source") in sources and "y_down" not in options:
+        sentences.append(
             "y is taken to grow upwards; in images it grows downwards, and left and right would be "
             "exchanged: if it does, give --option y_down=true"
         )
     contact, sizes = demos.provenance.get("contact_radius"), _unit_sizes(demos)
     if contact is not None and not recipe.get("cutting", {}).get("contact"):
         own = f" ({contact * sizes[0]:.4g} {_unit_name(demos)})" if len(set(sizes)) == 1 else ""
-        found.append(
+        sentences.append(
             f"coming within {contact:.3g} arena units of the target{own} "
             "ends most recordings, so it is taken for contact: otherwise give --contact DISTANCE, "
             "or --contact 0 for none"
         )
     elif demos.provenance.get("ends") == "film" and recipe.get("cutting", {}).get("ends") == "auto":
         contact_too = "--ends contact, or " if demos.has_goal else ""
-        found.append(
+        sentences.append(
             "the end of a recording is taken for the end of the film, after which the animals "
             f"went on: otherwise give {contact_too}--ends left if an animal left the field"
         )
     edged = demos.species == CUSTOM and "searcher" not in demos.roles
     if edged and (beyond := share_beyond(demos)) > MAY_BE_BEYOND:
-        found.append(
+        sentences.append(
             f"{100 * beyond:.1f} % of the frames of an animal lie clearly beyond the arena's edge, "
             "so no wall stands there, and leaving the boundary ends a simulated episode: "
             "otherwise give a wider --arena-width"
         )
     if lost := demos.provenance.get("lost"):
         marks = ", ".join(f"{place} ({counted(n, 'point')})" for place, n in lost.items())
-        found.append(
+        sentences.append(
             f"positions that trackers write of lost animals are taken for gaps: {marks}: correct "
             "them in the file if an animal was there"
         )
     names = demos.provenance.get("lone_animals")
     if names:
-        found.append(
-            f"{', '.join(names[:SHOWN_COLUMNS])}{', ...' * (len(names) > SHOWN_COLUMNS)} are each "
+        sentences.append(
+            f"{', '.join(names[:MOST_COLUMNS])}{', ...' * (len(names) > MOST_COLUMNS)} are each "
             f"alone in their recording, and taken for animals that are alike: if the files are of "
             "one recording, give --merge-individuals"
         )
     tracks, together = (demos.provenance.get(key) for key in (TRACKS, TOGETHER_AT_MOST))
     if tracks:
-        found.append(
+        sentences.append(
             f"{tracks} tracks come and go, up to {together} at a time, so each is taken for a "
             f"recording of one animal that sees no other ({len(np.unique(demos.recording))} are "
             "long enough): if they are fragments of the tracks of a group, join them in the "
@@ -352,21 +352,21 @@ def automatic_decisions(demos: Demonstrations) -> list[str]:
     keep_more = "fill gaps by --max-gap, or choose a shorter --piece, to keep more"
     share = f"{100 * used:.0f} % of what was tracked is used" if used else ""
     if most:
-        found.append(
+        sentences.append(
             f"animals come and go: each episode holds {demos.num_individuals} of up to {most}, who "
             f"are there throughout, and nothing is seen of the others ({share}): {keep_more}"
         )
     elif used and not demos.has_goal:
-        found.append(f"{share}, as recordings are cut where anybody is missing: {keep_more}")
+        sentences.append(f"{share}, as recordings are cut where anybody is missing: {keep_more}")
     least = [one.get("confidence_of_at_least") for one in _cleaning(demos).values()]
     limits = [one for one in least if one is not None]
     below = _total(demos, "below_confidence")
     if below and limits and recipe.get("cleaning", {}).get("min_confidence") is None:
-        found.append(
+        sentences.append(
             f"{counted(below, 'point')} of a likelihood below {max(limits):g} were not used: "
             "otherwise give --min-confidence, 0 for all points"
         )
-    return found
+    return sentences
 
 
 def _cleaning(demos: Demonstrations) -> Mapping[str, Any]:

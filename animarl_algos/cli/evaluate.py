@@ -90,8 +90,9 @@ def evaluate_command(
                 "to 'animarl evaluate RUN'"
             )
         new = None if demos is None else load(demos)
-        found = evaluate_runs(runs, out, demos=new, questions=questions)
-        evaluation, missing, words = found.evaluation, found.missing_baselines, Words.of(found.test)
+        evaluated = evaluate_runs(runs, out, demos=new, questions=questions)
+        evaluation, missing = evaluated.evaluation, evaluated.missing_baselines
+        words = Words.of(evaluated.test)
     else:
         if demos is not None:
             raise InputError("--demos needs --out: name a folder for the new evaluation")
@@ -228,7 +229,7 @@ def whatif_command(
             permutations,
             lambda done: console.print(f"{done} of {permutations} networks of permuted conditions"),
         )
-    found = ask(
+    answers = ask(
         loaded,
         change,
         permuted=nulls,
@@ -241,11 +242,11 @@ def whatif_command(
         ),
         on_answer=lambda answer: _print(console, answer),
     )
-    for sentence in found.unmet.values():
+    for sentence in answers.unmet.values():
         console.print(sentence)
-    if note := cut_note(found):
+    if note := cut_note(answers):
         console.print(note)
-    save_answers(found, out, command=command_line(), versions=versions())
+    save_answers(answers, out, command=command_line(), versions=versions())
     console.print(f"Tables, text, figures and the page report.html: {out}")
 
 

@@ -244,11 +244,11 @@ def _compare_thrusts(
         "speeds over the mean recorded speed. Floor: how often a classifier ranks tracked motion "
         "above recorded motion (0.5: cannot tell them apart). Lengths in arena units."
     )
-    shown = [
+    table_rows = [
         {heading: show(row[name]) for name, (heading, show) in THRUST_COLUMNS.items()}
         for row in rows
     ]
-    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, shown))
+    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, table_rows))
     if len(numbers) > 1:
         best, reason = choose_thrusts(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")

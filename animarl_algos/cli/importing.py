@@ -71,7 +71,7 @@ FILES: list[inspect.Parameter] = [
 
 def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:
     """Return, by name, the options that set an entry of the recipe: part, entry, option."""
-    found = {}
+    options = {}
     for model in (ImportRecipe, Cleaning, Scaling, Cutting, Splitting):
         part, hints = "" if model is ImportRecipe else model.__name__.lower(), get_type_hints(model)
         for each in fields(model):
@@ -83,8 +83,8 @@ def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:
             flags = ["/".join(f"--{one.replace('_', '-')}" for one in name.split("/"))]
             info = typer.Option(*flags if kind is bool else [], help=each.metadata["help"])
             name = name.partition("/")[0]
-            found[name] = (part, each.name, option(name, kind | None, None, info))
-    return found
+            options[name] = (part, each.name, option(name, kind | None, None, info))
+    return options
 
 
 RECIPE = _recipe_options()
@@ -126,11 +126,11 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
     with Progress(transient=True, console=Console(stderr=True)) as bar:
         task = bar.add_task(f"Reading {len(files)} file(s)", total=1.0)
 
-        def told(share: float) -> None:
+        def advance(share: float) -> None:
             doing = "Cleaning and cutting" if share >= 1 else f"Reading {len(files)} file(s)"
             bar.update(task, completed=share, description=doing)
 
-        demos = follow(plan, files, told)
+        demos = follow(plan, files, advance)
     wide_console().print(describe_frame_rate(demos))
     if dry_run:
         show_rows("What is understood", describe_recipe(plan, reader.name, files))
@@ -176,8 +176,8 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
         try:
             x, y = map(float, centre)
         except ValueError:
-            told = ",".join(centre)
-            raise InputError(f"centre is {told!r}: give x and y, as 512,384") from None
+            text = ",".join(centre)
+            raise InputError(f"centre is {text!r}: give x and y, as 512,384") from None
         given["centre"] = [x, y]
     if given["individuals"] is not None:
         pairs = [entry.partition("=") for entry in given["individuals"]]

@@ -153,8 +153,8 @@ def main() -> None:
             raise
         sys.exit(_refuse(str(MissingExtraError("this command", "algos"))))
     except OSError as error:
-        said = unreadable_or_unwritable(error)
-        sys.exit(_refuse(f"{said}; finished stages and checkpoints are kept"))
+        sentence = unreadable_or_unwritable(error)
+        sys.exit(_refuse(f"{sentence}; finished stages and checkpoints are kept"))
     except SystemExit as ended:
         if ended.code in INTERRUPTED:
             print(

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from animarl_algos.cli import shared
 from animarl_algos.cli.evaluate import DETAILS, MEASURE, PRIMARY, TOLERANCE
-from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
+from animarl_algos.runs.run_settings import RunSettings, pipeline_settings, species_of_options
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.settings import describe_fields, field_types
@@ -89,19 +89,19 @@ OTHERS = {
 
 def _options(names: str) -> list[inspect.Parameter]:
     """Return the options of a command; those of :class:`RunSettings` are made from its fields."""
-    found = []
+    parameters = []
     kinds, prose = get_type_hints(RunSettings), describe_fields(RunSettings, ranges=False)
     for name in names.split():
         if name in OTHERS:
-            found.append(OTHERS[name])
+            parameters.append(OTHERS[name])
             continue
         kind: Any = str if get_origin(kinds[name]) is Literal else kinds[name]
         default = getattr(RunSettings, name, None)
         if name in SET_BY_PRESET:
             kind, default = kind | None, None
         info = typer.Argument if name == "file" else typer.Option
-        found.append(shared.option(name, kind, default, info(help=prose[name])))
-    return found
+        parameters.append(shared.option(name, kind, default, info(help=prose[name])))
+    return parameters
 
 
 @shared.with_options(
@@ -170,15 +170,15 @@ def run_command(**given: Any) -> None:
         pipeline.cross_validate(run, folds)
     begin("3/4", f"evaluating on {tested}")
     evaluation, words = pipeline.evaluate_run(run, questions), Words.of(run.demos)
-    found = evaluation.verdict
-    off = list_implausible(found.rows(), found.worse_than_untrained)
+    judged = evaluation.verdict
+    off = list_implausible(judged.rows(), judged.worse_than_untrained)
     warn([*off, *far_acting_rules(run)])
     if given["details"]:
         console.print(evaluation_table(evaluation, words=words))
-        console.print(verdict_table(found, words))
+        console.print(verdict_table(judged, words))
     begin("4/4", "writing the report")
     page = pipeline.report(run)
-    for line in verdict_lines(found, words):
+    for line in verdict_lines(judged, words):
         console.print(line)
     console.print(f"Open {page}")
 
@@ -234,7 +234,7 @@ def _open(given: dict[str, Any]) -> Run:
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run_set import number_of_folds
 
-    species = asked_species(given["env"], given["species"])
+    species = species_of_options(given["env"], given["species"])
     with shared.suggest_import_on_error(given["file"], takes=(shared.SOURCE,)):
         demos = pipeline.load_demonstrations(given["file"], given["source"], species)
     if given.get("folds"):

@@ -99,16 +99,16 @@ def parse_settings(given: list[str] | None, flag: str = "--set", sign: str = "="
     """
     import yaml  # of another extra than the command line
 
-    found: dict[str, Any] = {}
+    parsed: dict[str, Any] = {}
     for pair in given or []:
         key, there, value = (part.strip() for part in pair.partition(sign))
         if not there or not key:
             raise InputError(f"{flag} {pair}: write KEY{sign}VALUE")
         try:
-            found[key] = value if value in DECIMAL_SIGNS else yaml.safe_load(value)
+            parsed[key] = value if value in DECIMAL_SIGNS else yaml.safe_load(value)
         except yaml.YAMLError as error:
             raise InputError(f"{flag} {pair}: the value is not valid YAML ({error})") from None
-    return found
+    return parsed
 
 
 def command_line() -> str:
@@ -142,14 +142,14 @@ def suggest_import_on_error(file: str | Path, takes: Collection[str] = ()) -> It
     try:
         yield
     except InputError as error:
-        said = str(error)
-        lacking = [name for name in dict.fromkeys(OPTION.findall(said)) if name not in takes]
-        if not lacking or "animarl " in said:
+        message = str(error)
+        lacking = [name for name in dict.fromkeys(OPTION.findall(message)) if name not in takes]
+        if not lacking or "animarl " in message:
             raise
-        place = "" if said.startswith(str(file)) else f"{file}: "
+        place = "" if message.startswith(str(file)) else f"{file}: "
         options = " ".join(f"{name} ..." for name in lacking)
         raise InputError(
-            f"{place}{said}, as in 'animarl import {shlex.quote(str(file))} {options} --out "
+            f"{place}{message}, as in 'animarl import {shlex.quote(str(file))} {options} --out "
             "demos.npz', and take what that writes"
         ) from None
 

@@ -161,8 +161,8 @@ def watch_command(
             for *_, renderer in sides:
                 renderer.close()
     for number in range(max(map(len, endings.values()))):
-        for title, said in endings.items():
-            console.print(f"episode {number}{', ' * bool(title)}{title}: {said[number]}")
+        for title, sentences in endings.items():
+            console.print(f"episode {number}{', ' * bool(title)}{title}: {sentences[number]}")
     if out is not None:
         console.print(f"Wrote {out} ({fps * world.scenario.species.dt:g} x real time)")
 
@@ -170,8 +170,8 @@ def watch_command(
 def abreast(sides: Iterable[Iterator[NDArray[np.uint8]]]) -> Iterator[NDArray[np.uint8]]:
     """Yield pictures side by side; a side that ends first keeps its last picture."""
     last: list[NDArray[np.uint8] | None] = []
-    for shown in zip_longest(*sides):
-        last = [old if new is None else new for new, old in zip_longest(shown, last)]
+    for current in zip_longest(*sides):
+        last = [old if new is None else new for new, old in zip_longest(current, last)]
         yield np.concatenate([picture for picture in last if picture is not None], axis=1)
 
 
@@ -223,7 +223,7 @@ def prepare(
                 f"{run.path}: it was trained as {settings.species}, not as {name}: watch "
                 f"{environment_id(settings.species)}"
             )
-        shown = run.check_demonstrations(demos if isinstance(demos, Demonstrations) else None)
+        recordings = run.check_demonstrations(demos if isinstance(demos, Demonstrations) else None)
         if run.has_policy(settings.algo):
             run.acting(settings.algo)  # chosen already: watching chooses none
         run.policy.policy.seed(seed)
@@ -234,7 +234,7 @@ def prepare(
             )
         focal = focal or learned
         if demos is not None:
-            options["demos"] = shown
+            options["demos"] = recordings
         options = run.world_options | options
     plain = make_scenario(species, **options)
     names = plain.names
@@ -287,9 +287,9 @@ def trained_actor(policy: Any) -> Actor:
             observation = np.concatenate([observation, flag], axis=1)
         starts = np.full(num, start)
         actions, state = policy.predict(observation, state=state, episode_start=starts)
-        asked = np.asarray(actions).reshape(1, num)
-        state = remembered(policy, state, asked, world.executed(asked))
-        return asked
+        wanted = np.asarray(actions).reshape(1, num)
+        state = remembered(policy, state, wanted, world.executed(wanted))
+        return wanted
 
     return act
 

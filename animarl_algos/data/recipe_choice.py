@@ -53,19 +53,19 @@ def choose_recipe(demos: Demonstrations) -> RecipeChoice:
             return RecipeChoice(REMEMBERED, "the searcher's inputs hold what was smelled before")
         return RecipeChoice(SEARCH, "a search goes by what was smelled before")
     miss, steps = action_miss(demos)
-    said = f"actions miss by {miss:.2g} thrusts, {steps} steps of each individual"
+    reason = f"actions miss by {miss:.2g} thrusts, {steps} steps of each individual"
     if miss >= NEARLY:
-        said += f": not exact (from {NEARLY:g})"
+        reason += f": not exact (from {NEARLY:g})"
         if steps < FEW_STEPS:
-            return RecipeChoice(FEW_RECORDED, f"{said}, few (below {FEW_STEPS})")
+            return RecipeChoice(FEW_RECORDED, f"{reason}, few (below {FEW_STEPS})")
         if steps < SEEN_SELDOM:
-            return RecipeChoice(RECORDED, said)
-        return RecipeChoice(MANY_RECORDED, f"{said}, many (from {SEEN_SELDOM})")
+            return RecipeChoice(RECORDED, reason)
+        return RecipeChoice(MANY_RECORDED, f"{reason}, many (from {SEEN_SELDOM})")
     if miss >= EXACT:
-        return RecipeChoice(ALMOST, f"{said}: nearly exact (from {EXACT:g} to {NEARLY:g})")
+        return RecipeChoice(ALMOST, f"{reason}: nearly exact (from {EXACT:g} to {NEARLY:g})")
     if steps < FEW_EXACT:
-        return RecipeChoice(FEW, f"{said}: exact (below {EXACT:g}), few (below {FEW_EXACT})")
-    return RecipeChoice(EXACTLY, f"{said}: exact (below {EXACT:g})")
+        return RecipeChoice(FEW, f"{reason}: exact (below {EXACT:g}), few (below {FEW_EXACT})")
+    return RecipeChoice(EXACTLY, f"{reason}: exact (below {EXACT:g})")
 
 
 def action_miss(demos: Demonstrations) -> tuple[float, int]:

@@ -116,19 +116,19 @@ class SlotVecEnv(VecEnv):
             raise InputError(f"focal is {focal!r}: choose one of {', '.join(everyone)}")
         self.individuals = everyone if focal is None else (focal,)
         self._learners = np.array([everyone.index(name) for name in self.individuals])
-        shown = None if full.demos is None else learnable(full.demos)
+        known = None if full.demos is None else learnable(full.demos)
         replayed = full.paired and find_task(species) is None
-        self.demos: Demonstrations | None = shown
+        self.demos: Demonstrations | None = known
         self.scenario = make_scenario(
             full.species,
-            demos=shown,
-            split=split if shown is not None else None,
+            demos=known,
+            split=split if known is not None else None,
             start=full.start,
             drivers=focal_drivers(everyone, focal, "replay" if replayed else "scripted"),
             **{k: v for k, v in options.items() if k in SCENARIO_OPTIONS},
         )
         if condition_flag is None:
-            both = shown is not None and len(set(shown.condition)) == 2
+            both = known is not None and len(set(known.condition)) == 2
             condition_flag = bool(full.species.conditions) and both
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
@@ -464,12 +464,12 @@ def demonstrations_in(
             "fit: learn in one, or give datasets as attributes train and val"
         )
     refuse_other_species(demos, scenario.species.name)
-    shown = learnable(demos)
-    replace(scenario, demos=shown)  # refuses others
+    known = learnable(demos)
+    replace(scenario, demos=known)  # refuses others
     learners = layout.individuals if focal is None else (scenario.names[focal],)
     if (own := getattr(env, "labels", None)) is not None:
         labels = dict(zip(LABEL_OPTIONS, own, strict=True))
-    return SpeciesDemonstrations(scenario.species, shown, learners, layout.condition_flag, **labels)
+    return SpeciesDemonstrations(scenario.species, known, learners, layout.condition_flag, **labels)
 
 
 def refuse_other_slots(there: SlotLayout, here: SlotLayout) -> None:
@@ -526,11 +526,11 @@ def feedback_of(
     where there is one (fast), otherwise in ``infos``. Where a warm-up replays other actions than
     were asked for, they are ``executed``.
     """
-    found = getattr(env, "extras", None)
-    if found is None:
-        shown = [name for name in names if name in infos[0]]
-        found = {name: [info[name] for info in infos] for name in shown}
-    return {name: np.asarray(found[name]).reshape(-1) for name in names if name in found}
+    values = getattr(env, "extras", None)
+    if values is None:
+        present = [name for name in names if name in infos[0]]
+        values = {name: [info[name] for info in infos] for name in present}
+    return {name: np.asarray(values[name]).reshape(-1) for name in names if name in values}
 
 
 def longest_episode(env: Any, given: int | None) -> int | None:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
-from animarl_algos.learner.progress import shown_progress
+from animarl_algos.learner.progress import progress_display
 from animarl_algos.networks.acting_rule import Acting
 from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -141,16 +141,18 @@ def choose_acting(
 
     def chosen_by(rounds: slice) -> Acting:
         """The best of these rounds; how far others are behind it stays in ``behind``."""
-        found = {rule: np.mean(tried[rule][rounds], axis=0) for rule in alive}
-        best = max(alive, key=lambda rule: float(np.nanmean(realism.total(found[rule]))))
-        behind.update({rule: above(found[best], each) for rule, each in found.items()})
+        means_by_rule = {rule: np.mean(tried[rule][rounds], axis=0) for rule in alive}
+        best = max(alive, key=lambda rule: float(np.nanmean(realism.total(means_by_rule[rule]))))
+        behind.update(
+            {rule: above(means_by_rule[best], each) for rule, each in means_by_rule.items()}
+        )
         return first if behind[first] <= MARGIN else best
 
     while number < MOST_ROUNDS and not repeats:
         own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
         waiting = [*alive, *(further if number == 0 else ())]
         title = f"choice of acting, round {number + 1} of at most {MOST_ROUNDS}"
-        with shown_progress(title, "rule", len(waiting)) as bar:
+        with progress_display(title, "rule", len(waiting)) as bar:
             for place, rule in enumerate(waiting):
                 if number == 0 and place == len(rules):
                     near = min(above(others, each[0]) for each in tried.values()) <= MARGIN
@@ -173,7 +175,7 @@ def choose_acting(
         alive = [rule for rule in alive if rule == first or behind[rule] <= MARGIN]
         repeats |= len(alive) == 1
     means = {rule: np.mean(each, axis=0) for rule, each in tried.items()}
-    found = tuple(
+    candidates = tuple(
         Candidate(
             str(rule),
             float(np.nanmean(realism.total(each))),
@@ -184,7 +186,7 @@ def choose_acting(
         for rule, each in means.items()
     )
     score = float(np.nanmean(realism.total(others)))
-    return ActingChoice(chosen, found, score, above(others, means[chosen]), repeats)
+    return ActingChoice(chosen, candidates, score, above(others, means[chosen]), repeats)
 
 
 def errors_above(difference: Floats, recording: NDArray[np.str_]) -> float:

@@ -180,14 +180,14 @@ def sequence_windows(
 
 def _cut(rollouts: Rollouts, steps: int) -> tuple[Ints, Ints, Ints]:
     """First frame, steps and episode of every window."""
-    found = []
+    pieces = []
     for index, (start, length) in enumerate(zip(rollouts.offsets.tolist(), rollouts.lengths)):
         left = int(length) - 1
         for begin in range(0, max(left, 1), steps):
             here = min(steps, left - begin)
             if begin == 0 or here >= steps / 2:
-                found.append((start + begin, here, index))
-    first, count, episode = np.array(found).T
+                pieces.append((start + begin, here, index))
+    first, count, episode = np.array(pieces).T
     return first, count, episode
 
 
@@ -383,13 +383,13 @@ def among_themselves(
     Estimate and ends of the interval are means over the ``halves``.
     """
     groups = np.unique(recorded.group)
-    found = []
+    areas = []
     for _ in range(halves):
         dealt = rng.permutation(groups)
         one, other = dealt[: len(groups) // 2], dealt[len(groups) // 2 :]
         auc = classify(recorded.of(one), recorded.of(other), rng, deals=1).auc
-        found.append((auc.estimate, auc.low, auc.high))
-    estimate, low, high = np.mean(found, axis=0).tolist()
+        areas.append((auc.estimate, auc.low, auc.high))
+    estimate, low, high = np.mean(areas, axis=0).tolist()
     return Interval(estimate, low, high)
 
 
@@ -531,17 +531,17 @@ def classify_all(
 
     seconds = steps * prepared.recorded.dt
     halves = partial(among_themselves, rng=streams[2], halves=1)
-    asked = (
+    questions = (
         (AUC, f"Classifier on {WINDOW:g} s of motion", short, streams[0], others),
         (SEQUENCE, f"Classifier of order over {seconds:.3g} s", long, streams[2], halves),
     )
-    for key, label, windows, rng, among in asked:
+    for key, label, windows, rng, among in questions:
         own = windows(prepared.recorded)
-        found = classify(own, windows(counted), rng, importance=not alone, until_clear=alone)
+        result = classify(own, windows(counted), rng, importance=not alone, until_clear=alone)
         areas: dict[str, Interval] = {}
         if not alone:
             areas["among"] = among(own)
         if not alone and key == AUC:
             areas |= {k: classify(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
-        auc = interval_over_recordings(found.auc, recordings)
-        yield key, label, replace(found, auc=auc, areas=areas, units=recordings)
+        auc = interval_over_recordings(result.auc, recordings)
+        yield key, label, replace(result, auc=auc, areas=areas, units=recordings)

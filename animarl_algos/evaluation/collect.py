@@ -79,9 +79,9 @@ class Blindfolded(WrappedPolicy):
 
     def predict(self, observation: NDArray[Any], *more: Any, **known: Any) -> tuple[Any, Any]:
         """Return the policy's actions and state."""
-        shown, seen = observation.copy(), np.flatnonzero(self._seen)
-        shown[:, seen] = np.roll(observation[:, seen], len(observation) // 2 + 1, axis=0)
-        return self.policy.predict(shown, *more, **known)
+        exchanged, seen = observation.copy(), np.flatnonzero(self._seen)
+        exchanged[:, seen] = np.roll(observation[:, seen], len(observation) // 2 + 1, axis=0)
+        return self.policy.predict(exchanged, *more, **known)
 
 
 def collect_rollouts(
@@ -183,12 +183,12 @@ def _run_batch(
         actions, state = policy.predict(
             observation, state=state, episode_start=starts, deterministic=False
         )
-        asked = np.asarray(actions).reshape(copies, num)
-        executed = world.executed(asked)
-        state = remembered(policy, state, asked, executed)
+        wanted = np.asarray(actions).reshape(copies, num)
+        executed = world.executed(wanted)
+        state = remembered(policy, state, wanted, executed)
         if leave_out is not None and not running.all():
             state = leave_out(state, np.repeat(~running, num))
-        world.step(asked)
+        world.step(wanted)
         starts = np.zeros_like(starts)
         frames.append(world.position.copy())
         components[running] += world.components[running]
@@ -215,14 +215,14 @@ def _run_batch(
 
 
 def remembered(
-    policy: Policy, state: Any, asked: NDArray[np.integer], executed: NDArray[np.integer]
+    policy: Policy, state: Any, wanted: NDArray[np.integer], executed: NDArray[np.integer]
 ) -> Any:
     """The policy's state if a world executes other actions than those asked for, ``(B, K)``.
 
     Policies without a method ``remember``, those of other libraries, see no previous action.
     """
     remember = getattr(policy, "remember", None)
-    if executed is asked or remember is None:
+    if executed is wanted or remember is None:
         return state
     return remember(state, executed.ravel())
 

@@ -78,9 +78,9 @@ def compare_conditions(
     sides = [
         demos.select(episodes=np.flatnonzero(demos.condition == known[name])) for name in chosen
     ]
-    found = Comparison.between(sides[0], sides[1], np.random.default_rng(seed), questions)
+    comparison = Comparison.between(sides[0], sides[1], np.random.default_rng(seed), questions)
     return ComparedConditions(
         (chosen[0], chosen[1]),
         (len(np.unique(sides[0].recording)), len(np.unique(sides[1].recording))),
-        tuple(found.rows()),
+        tuple(comparison.rows()),
     )

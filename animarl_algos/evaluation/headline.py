@@ -54,18 +54,18 @@ def write_headline(rows: Sequence[Row], recordings: int) -> str:
         _count(counts[LITTLE], "differ a little", "differs a little"),
     ]
     if counts[DIFFERS]:
-        said = _list(list_complaints(rows), "; ", "; and ")
-        parts.append(f"{_count(counts[DIFFERS], 'differ', 'differs')} ({said})")
+        part = _list(list_complaints(rows), "; ", "; and ")
+        parts.append(f"{_count(counts[DIFFERS], 'differ', 'differs')} ({part})")
     if counts[UNKNOWN]:
-        said = _count(counts[UNKNOWN], "are not known", "is not known")
-        said += f": {_count(recordings, 'recordings are', 'recording is')} too few"
+        part = _count(counts[UNKNOWN], "are not known", "is not known")
+        part += f": {_count(recordings, 'recordings are', 'recording is')} too few"
         unknown = [row.needed for row in rows if row.judgement == UNKNOWN]
         needed = sorted(number for number in unknown if math.isfinite(number))
         if needed:
             half, most = (rounded_count(needed[i]) for i in ((len(needed) - 1) // 2, -1))
-            said += f"; about {half:,} would tell"
-            said += f" half of them, about {most:,} all" if most > half else ""
-        parts.append(said)
+            part += f"; about {half:,} would tell"
+            part += f" half of them, about {most:,} all" if most > half else ""
+        parts.append(part)
     return f"Of {_count(len(rows), 'questions', 'question')} {', '.join(filter(None, parts))}."
 
 
@@ -85,8 +85,8 @@ def compare_with_law(rows: Iterable[Row]) -> str:
         return ""
     better = [row for row in known if abs(row.value) < abs(row.law - row.recorded)]
     worse = [lower_first(row.label) for row in known if row not in better]
-    said = f"The simulator beats a simple law in {len(better)} of {len(known)} questions"
-    return f"{said}; it does not in {_list(worse, ', ', ' and ')}." if worse else f"{said}."
+    sentence = f"The simulator beats a simple law in {len(better)} of {len(known)} questions"
+    return f"{sentence}; it does not in {_list(worse, ', ', ' and ')}." if worse else f"{sentence}."
 
 
 def list_implausible(rows: Iterable[Row], worse_than_untrained: bool) -> list[str]:
@@ -95,9 +95,9 @@ def list_implausible(rows: Iterable[Row], worse_than_untrained: bool) -> list[st
     Median speed, duration and the share of each ending, where they are not merely unknown, are
     looked at. One sentence each; none where nothing is.
     """
-    found = []
+    sentences = []
     if worse_than_untrained:
-        found.append(
+        sentences.append(
             "An untrained network comes nearer to the recordings than the trained one: train "
             "longer, on more episodes, or with another learner, before anything is concluded."
         )
@@ -116,8 +116,8 @@ def list_implausible(rows: Iterable[Row], worse_than_untrained: bool) -> list[st
             if share
             else f"{row.simulated:.3g} {row.unit} simulated, {row.recorded:.3g} {row.unit} recorded"
         )
-        found.append(f"{row.label} is off by more than half: {values}.")
-    return found
+        sentences.append(f"{row.label} is off by more than half: {values}.")
+    return sentences
 
 
 def _count(count: int, many: str, one: str) -> str:

@@ -326,11 +326,11 @@ def order_metrics(prepared: Prepared) -> list[Metric]:
     Those about this kind of recordings have rows of their own in the verdict, and no kind.
     """
     about = _kind_of(prepared.demos)
-    found = []
+    metrics = []
     for name in prepared.order(prepared.recorded).names:
         plain = plain_name(name)
         metric = ORDER_METRICS[plain]
-        found.append(
+        metrics.append(
             replace(
                 metric,
                 key=metric.key + name.removeprefix(plain).replace(",", "").replace(" ", "_"),
@@ -339,7 +339,7 @@ def order_metrics(prepared: Prepared) -> list[Metric]:
                 kind="" if metric.about and metric.about == about else metric.kind,
             )
         )
-    return found
+    return metrics
 
 
 def judged_metrics(prepared: Prepared) -> list[Metric]:
@@ -365,8 +365,8 @@ def measures(prepared: Prepared, rollouts: Rollouts) -> dict[str, Floats]:
 
 def summary_table(prepared: Prepared, rollouts: Rollouts) -> Floats:
     """Duration, path length and speed ``(rollouts, 3)``, each in units of its recorded spread."""
-    true, found = (measures(prepared, side) for side in (prepared.recorded, rollouts))
-    return np.stack([found[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
+    true, simulated = (measures(prepared, side) for side in (prepared.recorded, rollouts))
+    return np.stack([simulated[key] / (float(np.std(true[key])) or 1.0) for key in SUMMARY], axis=1)
 
 
 def compared_metrics(recorded: Episodes) -> list[Metric]:

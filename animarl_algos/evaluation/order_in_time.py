@@ -91,14 +91,14 @@ def nearest_other(position: Floats) -> Floats:
 
     Takes memory in proportion to the number of individuals. NaN where a position is.
     """
-    found = np.empty_like(position)
+    nearest = np.empty_like(position)
     for i in range(position.shape[-2]):
         apart = position - position[..., i : i + 1, :]
         distance = np.nan_to_num(np.linalg.norm(apart, axis=-1), nan=np.inf)
         distance[..., i] = np.inf
         place = distance.argmin(axis=-1)[..., None, None]
-        found[..., i, :] = np.take_along_axis(apart, place, axis=-2)[..., 0, :]
-    return found
+        nearest[..., i, :] = np.take_along_axis(apart, place, axis=-2)[..., 0, :]
+    return nearest
 
 
 def cross(first: Floats, second: Floats) -> Floats:
@@ -167,25 +167,25 @@ def order_measures(
         one, places are not measured.
     """
     parts = []
-    found: list[tuple[str, Floats]] = []
+    measures: list[tuple[str, Floats]] = []
     with np.errstate(invalid="ignore", divide="ignore"):
         for series in Series.of(rollouts, rest):
-            found = [*_motion(series, rollouts.dt, lags)]
+            measures = [*_motion(series, rollouts.dt, lags)]
             alone = rollouts.num_individuals == 1 and not rollouts.has_goal
-            found += () if alone else _interactions(series, lags[0])
+            measures += () if alone else _interactions(series, lags[0])
             if alone or rollouts.is_group:
                 rests = _bouts(~series.moving, np.isfinite(series.speed))
-                found.append(("length of rests", rests * rollouts.dt))
-            found += _places(series, arena, rollouts.has_goal) if arena is not None else ()
+                measures.append(("length of rests", rests * rollouts.dt))
+            measures += _places(series, arena, rollouts.has_goal) if arena is not None else ()
             if rollouts.is_group:
                 own = np.nanstd(_mean(series.speed), axis=1, keepdims=True)
-                found = [(name, _mean(values)[:, None]) for name, values in found]
-                found.append(("spread of speed between animals", own))
-                found += _groups(series, rollouts.dt, lags[-1])
-            parts.append(np.concatenate([values for _, values in found], axis=1))
+                measures = [(name, _mean(values)[:, None]) for name, values in measures]
+                measures.append(("spread of speed between animals", own))
+                measures += _groups(series, rollouts.dt, lags[-1])
+            parts.append(np.concatenate([values for _, values in measures], axis=1))
     names = [
         f"{name}, {one}" if one else name
-        for name, values in found
+        for name, values in measures
         for one in (rollouts.individuals if values.shape[1] > 1 else ("",))
     ]
     return EpisodeMeasures(tuple(names), np.concatenate(parts))

@@ -59,10 +59,10 @@ def load_function(name: str) -> OwnFunction:
             f"--measure {name}: {path} cannot be run ({type(error).__name__}: {error}): run it "
             "with Python first"
         ) from error
-    found = getattr(module, function, None)
-    if not callable(found):
+    attribute = getattr(module, function, None)
+    if not callable(attribute):
         raise InputError(f"--measure {name}: {path} has no function {function}: check its name")
-    loaded: OwnFunction = found
+    loaded: OwnFunction = attribute
     return loaded
 
 
@@ -93,7 +93,7 @@ def own_metric(function: OwnFunction, name: str) -> Metric:
 
 def own_values(function: OwnFunction, rollouts: Rollouts, scale: float, name: str) -> Floats:
     """Return the value of each episode, ``(rollouts,)``; NaN where the function gives none."""
-    found = np.full(len(rollouts), np.nan)
+    means = np.full(len(rollouts), np.nan)
     for i in range(len(rollouts)):
         try:
             values = np.asarray(
@@ -106,8 +106,8 @@ def own_values(function: OwnFunction, rollouts: Rollouts, scale: float, name: st
                 "2), dt and roles, and return numbers"
             ) from error
         known = values[np.isfinite(values)]
-        found[i] = known.mean() if known.size else np.nan
-    return found
+        means[i] = known.mean() if known.size else np.nan
+    return means
 
 
 def measured_recordings(metrics: Iterable[Metric], demos: Demonstrations) -> list[str]:

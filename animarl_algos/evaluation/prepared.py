@@ -182,7 +182,7 @@ class MeasuredEpisodes:
         between successive steps summed over an episode, divided by its duration [rad/s].
         """
         rollouts, slow = self.rollouts, slow_speeds(self.prepared.recorded)
-        found = np.zeros((4, len(rollouts)))
+        numbers = np.zeros((4, len(rollouts)))
         for i in range(len(rollouts)):
             moved = np.diff(rollouts.path(i), axis=0)
             if len(moved) == 0:
@@ -190,8 +190,8 @@ class MeasuredEpisodes:
             speed = np.linalg.norm(moved, axis=-1) / rollouts.dt
             turned = np.abs(order_in_time.angle(moved[:-1], moved[1:])).sum(axis=0).mean()
             median = np.median(speed, axis=0).mean()
-            found[:, i] = speed.mean(), median, (speed < slow).mean(), turned / self.duration[i]
-        return found
+            numbers[:, i] = speed.mean(), median, (speed < slow).mean(), turned / self.duration[i]
+        return numbers
 
     def _mean_over_movers(self, values: Floats) -> Floats:
         return np.asarray(values[:, self.rollouts.movers].mean(axis=1))

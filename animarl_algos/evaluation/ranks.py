@@ -87,9 +87,9 @@ def exact_ranks(
         drawn.append(np.where(fine, (place[other] + 0.5) / np.maximum(number, 1), np.nan))
     values = np.array(ranks).reshape(len(chosen), len(measures))
     null = np.array(drawn).reshape(len(chosen), DRAWS, len(measures))
-    found = float(_unevenness(values[:, None])[0]) if len(chosen) else np.nan
+    unevenness = float(_unevenness(values[:, None])[0]) if len(chosen) else np.nan
     expected = _unevenness(null)
-    at_least = int(np.count_nonzero(expected >= found * (1 - 1e-9)))
+    at_least = int(np.count_nonzero(expected >= unevenness * (1 - 1e-9)))
     return Ranks(measures, values, (1 + at_least) / (1 + DRAWS) if chosen else np.nan)
 
 

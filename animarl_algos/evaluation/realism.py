@@ -349,5 +349,5 @@ def _weighted(scores: Floats, weights: Floats) -> Floats:
 def over_groups(scores: Floats, group: Ints, draws: Draws) -> Interval:
     """Mean over starts, its interval over recordings, between 0 and 1."""
     data = statistics.cells(scores, np.zeros(len(scores)), group, int(group.max()) + 1)
-    found = statistics.bootstrap_mean(data, draws)
-    return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
+    mean = statistics.bootstrap_mean(data, draws)
+    return replace(mean, low=max(mean.low, 0.0), high=min(mean.high, 1.0))

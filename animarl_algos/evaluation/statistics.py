@@ -372,12 +372,12 @@ def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
         low, high = np.percentile(t, TAILS, axis=0).reshape(2, *mean.shape)
     defined = np.isfinite(low) & np.isfinite(high)
     sides = [(high, mean - values.min(axis=-1)), (-low, values.max(axis=-1) - mean)]
-    found = []
+    both = []
     for quantile, farthest in sides:
         margin = np.where(defined, np.maximum(np.where(defined, quantile, 0.0), 0.0) * error, by_t)
         margin = np.maximum(margin, by_t) if number <= FEWEST_ALONE else margin
-        found.append(np.minimum(margin, np.maximum(FARTHEST * farthest, by_t)))
-    return found[0], found[1]
+        both.append(np.minimum(margin, np.maximum(FARTHEST * farthest, by_t)))
+    return both[0], both[1]
 
 
 def seed_square(terms: Sequence[Floats]) -> Floats:

@@ -318,5 +318,5 @@ def _stated(provenance: Any) -> Any:
             return meta
         provenance = list(provenance.values())
     if isinstance(provenance, list | tuple):
-        return next((found for one in provenance if (found := _stated(one)) is not None), None)
+        return next((team for one in provenance if (team := _stated(one)) is not None), None)
     return None

@@ -14,7 +14,7 @@ from animarl_algos.evaluation.classifier import PART, classify, tracked_rollouts
 from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, resting_step
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.learner.progress import shown_progress
+from animarl_algos.learner.progress import progress_display
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.custom_species import arena_of
@@ -65,7 +65,7 @@ def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:
     """
     seen = demos.select(split="train") if (demos.split == "train").any() else demos
     floors: dict[int, float] = {}
-    with shown_progress("choice of thrusts", "candidate", len(CANDIDATES)) as bar:
+    with progress_display("choice of thrusts", "candidate", len(CANDIDATES)) as bar:
         for thrusts in CANDIDATES:
             floor = tracking_floor(seen, joint_locomotion(seen, thrusts), seed=seed)
             if np.isnan(floor.high - floor.low) or floor.high - floor.low > MAX_INTERVAL_WIDTH:

@@ -101,8 +101,8 @@ class Verdict:
     @property
     def judgement(self) -> str:
         """The word for all questions: what differs is said, then what is not known."""
-        found = set(self.table["judgement"])
-        return next((one for one in (DIFFERS, UNKNOWN, LITTLE) if one in found), ALIKE)
+        words = set(self.table["judgement"])
+        return next((one for one in (DIFFERS, UNKNOWN, LITTLE) if one in words), ALIKE)
 
     @property
     def colour(self) -> str:
@@ -146,9 +146,9 @@ class Verdict:
             if (table := plain.pop(key)) is not None:
                 with write_then_rename(Path(folder) / file) as part:
                     table.to_csv(part, index=False)
-        said = {"headline": self.headline, "colour": self.colour, "counts": self.counts}
+        summary = {"headline": self.headline, "colour": self.colour, "counts": self.counts}
         with write_then_rename(Path(folder) / "verdict.json") as part:
-            part.write_text(json.dumps(said | _plain(plain), indent=2))
+            part.write_text(json.dumps(summary | _plain(plain), indent=2))
 
     @classmethod
     def load(cls, folder: str | Path) -> Verdict:
@@ -277,7 +277,7 @@ def verdict(
         starts=len(starts),
         rollouts=int(np.count_nonzero(~counted.copies)),
         smoothing=prepared.smoothing,
-        areas={key: dict(found.areas) for key, _, found in answers},
+        areas={key: dict(result.areas) for key, _, result in answers},
         components=components,
         importance=answers[0][2].importance,
         worse_than_untrained=bool(worse),

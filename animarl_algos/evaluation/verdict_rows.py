@@ -228,14 +228,14 @@ class Questions:
         names = row_names(metrics)
         return tuple(sorted({names[resolve(name, names)] for name in given}))
 
-    def allowed(self, metrics: tuple[Metric, ...], found: Differences) -> Floats:
+    def allowed(self, metrics: tuple[Metric, ...], differences: Differences) -> Floats:
         """Return the tolerance of each metric, ``(measures,)``."""
         names = row_names(metrics)
         wanted = {names[resolve(name, names)]: one for name, one in self.tolerances.items()}
         return np.array(
             [
                 _tolerance(metric, wanted.get(metric.key), mean, sd)
-                for metric, mean, sd in zip(metrics, found.recorded, found.between)
+                for metric, mean, sd in zip(metrics, differences.recorded, differences.between)
             ]
         )
 
@@ -262,7 +262,7 @@ class Comparison:
     counted: Rollouts
     unit: Ints
     metrics: tuple[Metric, ...]
-    found: Differences
+    differences: Differences
     tolerances: Floats
     primary: tuple[str, ...]
     values: tuple[Floats, Floats]
@@ -280,9 +280,9 @@ class Comparison:
         metrics, first, second = _columns(prepared, counted)
         primary = questions.keys(questions.primary, metrics)
         sides = _sides(prepared.demos, metrics, primary, np.asarray(counted.demo)[~counted.copies])
-        found = simultaneous_differences(first, second[~counted.copies], sides, rng)
-        allowed, both = questions.allowed(metrics, found), (first, second)
-        return cls(prepared, counted, sides.unit, metrics, found, allowed, primary, both)
+        differences = simultaneous_differences(first, second[~counted.copies], sides, rng)
+        allowed, both = questions.allowed(metrics, differences), (first, second)
+        return cls(prepared, counted, sides.unit, metrics, differences, allowed, primary, both)
 
     @classmethod
     def between(
@@ -300,9 +300,9 @@ class Comparison:
         sides = [
             _sides(demos, metrics, primary, np.arange(len(demos))) for demos in (first, second)
         ]
-        found = group_differences(one, two, (sides[0], sides[1]), rng)
-        allowed, unit = questions.allowed(metrics, found), sides[0].unit
-        return cls(prepared, other, unit, metrics, found, allowed, primary, (one, two), True)
+        differences = group_differences(one, two, (sides[0], sides[1]), rng)
+        allowed, unit = questions.allowed(metrics, differences), sides[0].unit
+        return cls(prepared, other, unit, metrics, differences, allowed, primary, (one, two), True)
 
     def rows(self, controls: Mapping[str, Rollouts] | None = None) -> Iterator[Row]:
         """Yield a row for each metric of its own, then one for each kind of the others.
@@ -320,13 +320,15 @@ class Comparison:
                 yield replace(row, measure=kind, label=f"{label}: {lower_first(row.label)}")
 
     def _row(self, place: int, controls: Mapping[str, Mapping[str, Floats]]) -> Row:
-        metric, found, tolerance = self.metrics[place], self.found, float(self.tolerances[place])
-        value, margin = float(found.value[place]), float(found.margin[place])
-        recorded, simulated = float(found.recorded[place]), float(found.simulated[place])
+        metric, differences = self.metrics[place], self.differences
+        tolerance = float(self.tolerances[place])
+        value, margin = float(differences.value[place]), float(differences.margin[place])
+        recorded = float(differences.recorded[place])
+        simulated = float(differences.simulated[place])
         low, high = value - margin, value + margin
         if metric.is_share:
             low, high = max(low, -1.0), min(high, 1.0)
-        judgement, units = judge(value, low, high, tolerance), int(found.units[place])
+        judgement, units = judge(value, low, high, tolerance), int(differences.units[place])
         needed, reason = math.nan, ""
         if not math.isfinite(margin):
             few = units < MIN_RECORDINGS
@@ -338,15 +340,15 @@ class Comparison:
         words = judgement
         if judgement in (DIFFERS, LITTLE):
             one, other = figures(unit, simulated, recorded)
-            shown = "%" if unit == "share" else unit
-            said = metric.complaint(value > 0)
+            unit_name = "%" if unit == "share" else unit
+            complaint = metric.complaint(value > 0)
             if self.of_conditions:
-                said = f"{lower_first(metric.label)} {'higher' if value > 0 else 'lower'}"
-            words = f"{said}: {one} for {other} {shown}".rstrip()
+                complaint = f"{lower_first(metric.label)} {'higher' if value > 0 else 'lower'}"
+            words = f"{complaint}: {one} for {other} {unit_name}".rstrip()
             words = words if judgement == DIFFERS else f"{LITTLE}: {words}"
         elif judgement == UNKNOWN:
             words = unknown_words(needed, reason)
-        error = POWER * float(found.error[place])
+        error = POWER * float(differences.error[place])
         more: dict[str, float] = {}
         for name, side in controls.items():
             ends = metric.is_ending or metric is DURATION  # which these take from the recordings
@@ -499,11 +501,11 @@ def strangers(prepared: Prepared) -> Rollouts | None:
     return replace(recorded, positions=np.concatenate(paths), lengths=lengths)
 
 
-def classifier_row(key: str, label: str, found: ClassifierResult) -> Row:
+def classifier_row(key: str, label: str, result: ClassifierResult) -> Row:
     """Return the row of a classifier."""
-    area, among = found.auc, found.areas.get("among", UNDEFINED)
+    area, among = result.auc, result.areas.get("among", UNDEFINED)
     judgement, needed, reason = judge_area(area), math.nan, area.reason
-    part = max(found.importance, key=lambda what: found.importance[what], default="")
+    part = max(result.importance, key=lambda what: result.importance[what], default="")
     by = f", most of all by {lower_first(KINDS.get(part, part))}" if part else ""
     words = judgement
     if judgement in (DIFFERS, LITTLE):
@@ -512,7 +514,7 @@ def classifier_row(key: str, label: str, found: ClassifierResult) -> Row:
         words = words if judgement == DIFFERS else f"{LITTLE}: {words}"
     elif judgement == UNKNOWN:
         above = max(LITTLE_AUC - area.estimate, area.estimate - 0.5)
-        needed = recordings_needed(found.units, (area.high - area.low) / 2, above)
+        needed = recordings_needed(result.units, (area.high - area.low) / 2, above)
         words = unknown_words(needed, reason)
     return Row(
         **statistics.row_of(area, measure=key, label=label, judgement=judgement, verdict=words),

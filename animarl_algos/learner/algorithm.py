@@ -497,8 +497,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         return total_timesteps, callback
 
     def _init_callback(self, callback: MaybeCallback, progress_bar: bool = False) -> BaseCallback:
-        shown = progress_bar and bool(self.recipe.online)
-        return super()._init_callback(with_progress_bar(callback) if shown else callback)
+        with_bar = progress_bar and bool(self.recipe.online)
+        return super()._init_callback(with_progress_bar(callback) if with_bar else callback)
 
     def _learn_online(
         self, total_timesteps: int, callback: BaseCallback, log_interval: int | None

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from animarl_algos.data.vec_env import SlotLayout, declared_feedback, feedback_of
 from animarl_algos.learner.checkpoint import save_checkpoint
-from animarl_algos.learner.progress import shown_progress
+from animarl_algos.learner.progress import progress_display
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.errors import InputError
 from animarl_envs.settings import Count, check_value
@@ -113,7 +113,7 @@ class ProgressBar(BoundaryCallback):
 
     def _on_training_start(self) -> None:
         self._seen = self.model.num_timesteps
-        self._bar = shown_progress("online", "step", self.locals["total_timesteps"] - self._seen)
+        self._bar = progress_display("online", "step", self.locals["total_timesteps"] - self._seen)
 
     def _on_step(self) -> bool:
         assert self._bar is not None
@@ -255,14 +255,14 @@ class EvaluateIndividuals(BaseCallback):
         if self.seed is not None:
             self.env.seed(self.seed)
             policy.seed(self.seed)
-        found = evaluate_individuals(
+        returns = evaluate_individuals(
             self.model, self.env, self.episodes, deterministic=self.deterministic
         )
         policy.random_state = acting
-        for name, mean in found.mean.items():
+        for name, mean in returns.mean.items():
             self.logger.record(f"eval/mean_reward/{name}", mean)
             if self.verbose:
                 print(f"step {self.model.num_timesteps}: {name} mean return {mean:.3f}")
-        self.logger.record("eval/mean_ep_length", float(found.lengths.mean()))
-        self.history.append((self.model.num_timesteps, found))
-        return found
+        self.logger.record("eval/mean_ep_length", float(returns.lengths.mean()))
+        self.history.append((self.model.num_timesteps, returns))
+        return returns

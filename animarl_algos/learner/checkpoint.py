@@ -306,13 +306,13 @@ def whole_file(path: Place, suffix: str) -> Iterator[Place]:
 @contextmanager
 def loading(path: Place, saved_by: dict[str, Any]) -> Iterator[None]:
     """Refuse a zip file that a learner of another kind saved; say what fails as it is loaded."""
-    found, name = _saved_by(path), saved_by["name"]
-    if found is None:
+    saved, name = _saved_by(path), saved_by["name"]
+    if saved is None:
         raise InputError(f"{path}: it is no model of {name}: load it with the class that saved it")
-    if any(found.get(key) != saved_by[key] for key in ("recipe", "quantiles")):
+    if any(saved.get(key) != saved_by[key] for key in ("recipe", "quantiles")):
         raise InputError(
-            f"{path}: it was saved by {found['name']} and is no {name}: load it with "
-            f"{found['name']}.load"
+            f"{path}: it was saved by {saved['name']} and is no {name}: load it with "
+            f"{saved['name']}.load"
         )
     try:
         yield
@@ -327,8 +327,8 @@ def _saved_by(path: Place) -> dict[str, Any] | None:
     with _opened(path, "r", "zip") as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                found: dict[str, Any] = json.loads(archive.read("data"))[SAVED_BY]
-                return dict(found)
+                saved: dict[str, Any] = json.loads(archive.read("data"))[SAVED_BY]
+                return dict(saved)
         except (zipfile.BadZipFile, LookupError, TypeError, ValueError):
             return None
         finally:

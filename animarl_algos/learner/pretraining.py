@@ -20,7 +20,7 @@ from scipy.optimize import minimize_scalar
 from stable_baselines3.common.logger import Logger
 
 from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.learner.progress import shown_progress
+from animarl_algos.learner.progress import progress_display
 from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.learner.updates import Totals, minibatch_values, update
 from animarl_algos.losses.terms import Phase, Recipe, Selection
@@ -95,20 +95,22 @@ class Pretraining:
         if progress.epoch == 0:
             self._begin(data.train)
         bar_options: dict[str, Any] = {"done": progress.epoch, "disable": not progress_bar}
-        with shown_progress("offline", "epoch", self.settings.offline_epochs, **bar_options) as bar:
+        with progress_display(
+            "offline", "epoch", self.settings.offline_epochs, **bar_options
+        ) as bar:
             while not progress.over(self.settings.offline_epochs, self.settings.offline_patience):
                 at_boundary()
                 row = self.train_epoch(data.train)
                 policy.q_net_target.load_state_dict(policy.q_net.state_dict())
                 network = self._judged_network()
-                found = demonstrated_values(
+                validated = demonstrated_values(
                     policy,
                     self.settings.phase("offline"),
                     data.val,
                     self.settings.offline_batch_size,
                     network,
                 )
-                row |= validation_figures(found, policy.individuals)
+                row |= validation_figures(validated, policy.individuals)
                 self._keep_best(row, network)
                 progress.history.append({"epoch": float(progress.epoch)} | row)
                 for name, value in row.items():
@@ -275,36 +277,36 @@ def demonstrated_values(
     network: StackedQNetwork | None = None,
 ) -> DemonstratedValues:
     """Return the values along demonstrated episodes: the policy's, or those of ``network``."""
-    found: list[list[list[NDArray[Any]]]] = [[[], [], []] for _ in policy.individuals]
+    parts: list[list[list[NDArray[Any]]]] = [[[], [], []] for _ in policy.individuals]
     counts: list[torch.Tensor] = []
     for batch in dataset.batches(min(batch_size, MOST_EPISODES)):
         minibatch = minibatch_values(
             policy, batch.to(policy.device), phase, needs_target=False, network=network
         )
         labels, soft = minibatch.batch.labels, minibatch.batch.label_shares
-        shown = minibatch.valid & (labels >= 0)
-        for k, (values, actions, shares) in enumerate(found):
-            values.append(minibatch.q_values[k][shown[k]].double().cpu().numpy())
-            actions.append(labels[k][shown[k]].cpu().numpy())
+        labelled = minibatch.valid & (labels >= 0)
+        for k, (values, actions, shares) in enumerate(parts):
+            values.append(minibatch.q_values[k][labelled[k]].double().cpu().numpy())
+            actions.append(labels[k][labelled[k]].cpu().numpy())
             if soft is not None:
-                shares.append(soft[k][shown[k]].double().cpu().numpy())
+                shares.append(soft[k][labelled[k]].double().cpu().numpy())
         if (logits := minibatch.treatment_logits) is not None:
             counts.append(treatment_counts(logits, minibatch.batch.condition, minibatch.valid))
-    if not all(sum(map(len, actions)) for _, actions, _ in found):
+    if not all(sum(map(len, actions)) for _, actions, _ in parts):
         raise InputError(
             "the validation split holds no demonstrated action: split the data again, or infer the "
             "actions from the positions first"
         )
     accuracy = mean_recall(torch.stack(counts).sum(0)).double().cpu().numpy() if counts else None
     return DemonstratedValues(
-        [np.concatenate(values) for values, _, _ in found],
-        [np.concatenate(actions) for _, actions, _ in found],
-        [np.concatenate(shares) if shares else None for _, _, shares in found],
+        [np.concatenate(values) for values, _, _ in parts],
+        [np.concatenate(actions) for _, actions, _ in parts],
+        [np.concatenate(shares) if shares else None for _, _, shares in parts],
         accuracy,
     )
 
 
-def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) -> Figures:
+def validation_figures(seen: DemonstratedValues, individuals: tuple[str, ...]) -> Figures:
     """Return how the demonstrated actions fare among all actions.
 
     ``val/cross_entropy`` [nat] with action values as logits, ``val/label_cross_entropy`` the same
@@ -315,7 +317,7 @@ def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) 
     individuals and for each; with a treatment head ``val/treatment_balanced_accuracy``.
     """
     figures = []
-    for values, actions, shares in zip(shown.values, shown.actions, shown.shares, strict=True):
+    for values, actions, shares in zip(seen.values, seen.actions, seen.shares, strict=True):
         rank = demonstrated_rank(values, actions)
         log_norm = np.log(np.exp(values - values.max(1, keepdims=True)).sum(1)) + values.max(1)
         hard = soft = float(np.mean(log_norm - values[np.arange(len(actions)), actions]))
@@ -335,8 +337,8 @@ def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) 
                 "top_3": float((rank <= 3).mean()),
             }
         )
-        if shown.treatment_accuracy is not None:
-            figures[-1]["treatment_balanced_accuracy"] = shown.treatment_accuracy[len(figures) - 1]
+        if seen.treatment_accuracy is not None:
+            figures[-1]["treatment_balanced_accuracy"] = seen.treatment_accuracy[len(figures) - 1]
     row: Figures = {}
     for name in figures[0]:
         row |= named_figures(f"val/{name}", individuals, np.array([own[name] for own in figures]))

@@ -21,7 +21,7 @@ class Log:
         sys.stderr.flush()
 
 
-def shown_progress(
+def progress_display(
     what: str, unit: str, total: int, *, done: int = 0, disable: bool = False
 ) -> tqdm:
     """Return a progress bar; in a log a line every ``LOG_EVERY`` s says how long it will take."""

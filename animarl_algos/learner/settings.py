@@ -289,17 +289,17 @@ def take_settings(attributes: dict[str, Any], settings: LearnerSettings) -> Lear
     stable-baselines3's ``load`` puts those there that it is given, and files of earlier versions
     hold all of them so. Those that are no attributes of its own are taken away.
     """
-    found = {name: attributes[name] for name in SB3_ARGUMENTS if name in attributes}
+    changes = {name: attributes[name] for name in SB3_ARGUMENTS if name in attributes}
     for name in field_types(LearnerSettings):
         if name not in (*SB3_ARGUMENTS, "policy", "learning_rate") and name in attributes:
-            found[name] = attributes.pop(name)
-    found["policy"] = policy_name(attributes["policy_class"])
-    if isinstance(frequency := found["train_freq"], TrainFreq):
-        found["train_freq"] = (frequency.frequency, frequency.unit.value)
+            changes[name] = attributes.pop(name)
+    changes["policy"] = policy_name(attributes["policy_class"])
+    if isinstance(frequency := changes["train_freq"], TrainFreq):
+        changes["train_freq"] = (frequency.frequency, frequency.unit.value)
     rate = attributes["learning_rate"]
     if not (isinstance(settings.learning_rate, str) and isinstance(rate, LinearSchedule)):
-        found["learning_rate"] = rate
-    return settings.changed(**found)
+        changes["learning_rate"] = rate
+    return settings.changed(**changes)
 
 
 def policy_name(policy: Any) -> Any:

@@ -168,9 +168,9 @@ def update(
         raise InputError(f"all {phase.name} loss weights are 0: set at least one above 0")
     if not math.isfinite(total.item()):
         rate = "learning_rate" if phase.name == "online" else "offline_learning_rate"
-        shown = ", ".join(f"{name} {loss.detach().tolist()}" for name, loss in losses.items())
+        by_name = ", ".join(f"{name} {loss.detach().tolist()}" for name, loss in losses.items())
         raise InputError(
-            f"{phase.name} training diverged (losses per individual: {shown}): lower {rate}, and "
+            f"{phase.name} training diverged (losses per individual: {by_name}): lower {rate}, and "
             "look for rewards that are huge or not finite"
         )
     for parameter in minibatch.parameters:

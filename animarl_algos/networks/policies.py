@@ -315,8 +315,8 @@ def decide_on_device(
         return torch.from_numpy(shaped).to(device).transpose(0, 1)
 
     some = np.where(previous == FINISHED, 0, previous)
-    found = network.step(stacked(observation), stacked(some), stacked(hidden))
-    q_values, state = (each.transpose(0, 1).flatten(0, 1).cpu().numpy() for each in found)
+    results = network.step(stacked(observation), stacked(some), stacked(hidden))
+    q_values, state = (each.transpose(0, 1).flatten(0, 1).cpu().numpy() for each in results)
     return q_values, state
 
 

@@ -172,8 +172,8 @@ LEARNERS: tuple[type[SequenceQLearning], ...] = (
 )
 RECIPES: dict[str, NamedRecipe] = {}
 for one in LEARNERS:
-    shown = bool(one.recipe.offline) and one.pretrained_preset is None
-    RECIPES[one.preset] = NamedRecipe(one, pretrained=shown)
+    pretrained = bool(one.recipe.offline) and one.pretrained_preset is None
+    RECIPES[one.preset] = NamedRecipe(one, pretrained=pretrained)
     if one.pretrained_preset is not None:
         RECIPES[one.pretrained_preset] = NamedRecipe(one, pretrained=True)
 

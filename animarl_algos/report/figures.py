@@ -110,7 +110,7 @@ def interval_rows(
     then a density stands above each row, and every rollout below it. A ``band`` of that half width
     lies about the reference; dots of ``hollow`` rows are empty.
     """
-    names, found = list(means), {k: np.asarray(v, np.float64) for k, v in (values or {}).items()}
+    names, samples = list(means), {k: np.asarray(v, np.float64) for k, v in (values or {}).items()}
     height = 0.8 + (0.36 if values is None else ROW_HEIGHT) * len(names)
     with one_panel(4.6, height, "x", xlabel=axis, title=title) as (figure, panel):
         from matplotlib.ticker import MaxNLocator
@@ -118,7 +118,7 @@ def interval_rows(
         for row, name in enumerate(names):
             base = float(len(names) - 1 - row)
             colour = (colours or {}).get(name) or style.method_colour(name, row)
-            if name in found and len(sample := found[name][np.isfinite(found[name])]):
+            if name in samples and len(sample := samples[name][np.isfinite(samples[name])]):
                 _draw_values(panel, sample, base, colour)
             value, ground = means[name], style.PAGE.hex
             if np.isfinite(value.low):  # ringed in the ground so that it stands out

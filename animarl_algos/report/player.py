@@ -41,15 +41,15 @@ def run_player(inputs: ReportInputs) -> Player:
             scenes.append((title, {RECORDED: (demos, start), SIMULATED: (rollouts, i)}))
     learner = method_label(inputs.learner)
     views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
-    said = "from rollouts near their recording to far from it (DTW distance)."
+    order = "from rollouts near their recording to far from it (DTW distance)."
     several = "s, all different," if len(scenes) > 1 else ""
-    return play(inputs, scenes, views, f"{len(scenes)} test start{several} {said}")
+    return play(inputs, scenes, views, f"{len(scenes)} test start{several} {order}")
 
 
 def play(
-    inputs: PageInputs, scenes: Sequence[Scene], views: Sequence[dict[str, Any]], said: str
+    inputs: PageInputs, scenes: Sequence[Scene], views: Sequence[dict[str, Any]], introduction: str
 ) -> Player:
-    """Return a player of any scenes; the caption begins with what is ``said`` of them."""
+    """Return a player of any scenes; the caption begins with the ``introduction``."""
     demos, stage = inputs.demos, inputs.stage
     numbers = sum(made.path(i).size for _, tracks in scenes for made, i in tracks.values())
     stride = max(1, -(-numbers * 8 // (3 * BUDGET)))  # two bytes a number, four characters for 3
@@ -67,7 +67,7 @@ def play(
         walls = "The outline is a wall."
     near = "The dotted ring shows how near is contact; it is drawn thick while there is any."
     around = walls if stage.contact_radius is None else f"{walls} {near}"
-    return Player(data, f"{inputs.words.adapt(said)} {around}")
+    return Player(data, f"{inputs.words.adapt(introduction)} {around}")
 
 
 def view(
@@ -112,9 +112,9 @@ def _packed(
     low = points.min(axis=0)
     span = float((points.max(axis=0) - low).max()) or 1.0
     moved = [path for kind, path in paths.items() if kind != RECORDED]
-    shown = view_of(stage.arena, paths[RECORDED], *moved)
+    view_box = view_of(stage.arena, paths[RECORDED], *moved)
     unit = stage.words.unit
-    length, label = round_length(shown[2] * unit.per_arena_unit / 2, unit.name)
+    length, label = round_length(view_box[2] * unit.per_arena_unit / 2, unit.name)
 
     def pack(path: Floats) -> str:
         levels = np.round((path[::stride] - low) / span * LEVELS).astype("<u2")
@@ -122,7 +122,7 @@ def _packed(
 
     return {
         "title": title,
-        "view": [round(v, 6) for v in shown],
+        "view": [round(v, 6) for v in view_box],
         "bar": {"length": length / unit.per_arena_unit, "label": label},
         "box": [float(low[0]), float(low[1]), span / LEVELS],
         "tracks": {

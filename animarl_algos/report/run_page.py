@@ -31,10 +31,10 @@ QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the DTW distance, for the examples
 def run_page(inputs: ReportInputs) -> Page:
     """Return the page: the verdict and the player, then every section that has blocks."""
     demos, evaluation = inputs.demos, inputs.evaluation
-    found = evaluation.verdict
-    off = list_implausible(found.rows(), found.worse_than_untrained)
-    said = [*map(inputs.words.adapt, off), *inputs.warnings]
-    said += cautions(evaluation.comparison, inputs.learner, demos.synthetic)
+    judged = evaluation.verdict
+    off = list_implausible(judged.rows(), judged.worse_than_untrained)
+    cautionary = [*map(inputs.words.adapt, off), *inputs.warnings]
+    cautionary += cautions(evaluation.comparison, inputs.learner, demos.synthetic)
     episodes = [(f"{split} episodes", str(count)) for split, count in inputs.episodes.items()]
     statistics = [
         ("resamples of means and differences", f"{evaluation.resamples:,}"),
@@ -59,10 +59,10 @@ def run_page(inputs: ReportInputs) -> Page:
         kind="Simulation report",
         synthetic=demos.synthetic,
         facts=facts + ([("Made", inputs.created)] if inputs.created else []),
-        lead=verdict_lead(found, inputs.words, list(dict.fromkeys(said))),
+        lead=verdict_lead(judged, inputs.words, list(dict.fromkeys(cautionary))),
         player=run_player(inputs),
         sections=[
-            Section("verdict", "Verdict", [*verdict_blocks(found, inputs.words), *made]),
+            Section("verdict", "Verdict", [*verdict_blocks(judged, inputs.words), *made]),
             Section("trajectories", "Trajectories", list(_trajectories(inputs))),
             Section(
                 "distributions",
@@ -130,19 +130,19 @@ def _distributions(inputs: ReportInputs) -> Iterator[Block]:
     """Speeds by role, and distances to the nearest other where there are others."""
     simulated, recorded = factual_rollouts(inputs)[0], Rollouts.from_demonstrations(inputs.demos)
     roles, words = np.array(inputs.demos.roles), inputs.words
-    shown: list[tuple[str, str, Floats, Floats]] = []
+    panels: list[tuple[str, str, Floats, Floats]] = []
     for role in dict.fromkeys(inputs.demos.roles):
         chosen = roles == role
         kind = role.capitalize() if inputs.demos.has_goal else "Animal"
         one, other = (side.speeds()[:, chosen] for side in (simulated, recorded))
-        shown.append((kind + "s" * int(chosen.sum() > 1), f"Speed ({words.speed})", one, other))
+        panels.append((kind + "s" * int(chosen.sum() > 1), f"Speed ({words.speed})", one, other))
     if len(roles) > 1:
         one, other = (
             np.linalg.norm(nearest_other(side.positions), axis=-1) for side in (simulated, recorded)
         )
-        shown.append(("Nearest other", f"Distance ({words.unit.name})", one, other))
+        panels.append(("Nearest other", f"Distance ({words.unit.name})", one, other))
     images = []
-    for title, axis, first, second in shown:
+    for title, axis, first, second in panels:
         one, other = (words.unit.per_arena_unit * side.ravel() for side in (first, second))
         figure = figures.histograms(one, other, axis, title, words.adapt("recorded"))
         alt = words.adapt(f"Histogram of {axis}: {title}, simulated over recorded")

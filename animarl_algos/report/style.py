@@ -130,9 +130,9 @@ RC: Any = {
 def themed(drawing: str) -> str:
     """Return a drawing in the page's colours: ``var(--text, #2b2b2f)`` for ``#2b2b2f``."""
 
-    def variable(found: re.Match[str]) -> str:
-        name = _BY_HEX.get(found[0])
-        return f"var(--{name}, {found[0]})" if name else found[0]
+    def variable(match: re.Match[str]) -> str:
+        name = _BY_HEX.get(match[0])
+        return f"var(--{name}, {match[0]})" if name else match[0]
 
     return re.sub(r"#[0-9a-f]{6}\b", variable, drawing)
 
@@ -220,7 +220,7 @@ def _with_own_ids(drawing: str) -> str:
     used = set(re.findall(r'(?:xlink:href="#|url\(#)([\w.-]+)', drawing))
     drawing = re.sub(
         r' id="([^"]+)"',
-        lambda found: f' id="f{own}-{found[1]}"' if found[1] in used else "",
+        lambda match: f' id="f{own}-{match[1]}"' if match[1] in used else "",
         drawing,
     )
     return re.sub(r'(xlink:href="#|url\(#)', rf"\1f{own}-", drawing)

@@ -90,19 +90,19 @@ def _headline(verdict: Verdict) -> str:
 
 def _evidence(verdict: Verdict) -> list[str]:
     """Return sentences on the classifier, on what would have been seen, and on a simple law."""
-    rows, found = verdict.rows(), []
+    rows, sentences = verdict.rows(), []
     if math.isfinite(verdict.auc.estimate):
         wrong = 100 * (1 - verdict.auc.estimate)
-        found.append(
+        sentences.append(
             f"A classifier takes the simulated piece for the recorded one in {wrong:.0f} of 100 "
             "pairs (50: chance)."
         )
-    if found_changes := detectable_changes(rows):
-        changes = [f"{name} {100 * part:.0f} %" for name, part in found_changes.items()]
-        found.append(f"Smallest changes that so many recordings show: {', '.join(changes)}.")
-    if said := compare_with_law(rows):
-        found.append(said)
-    return found
+    if changes_by_name := detectable_changes(rows):
+        changes = [f"{name} {100 * part:.0f} %" for name, part in changes_by_name.items()]
+        sentences.append(f"Smallest changes that so many recordings show: {', '.join(changes)}.")
+    if beside_law := compare_with_law(rows):
+        sentences.append(beside_law)
+    return sentences
 
 
 # -- as tables and pictures -----------------------------------------------------------------------
@@ -118,19 +118,19 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         words.adapt,
     )
     images = [to_image(strip, words.adapt("Difference of every question in its tolerances"))]
-    said = (
+    caption = (
         "Each question as the difference of simulated and recorded, in units of its tolerance, "
         "with its interval; within the band it is alike. Arrows leave the picture."
     )
     if verdict.ranks and math.isfinite(verdict.rank_p):
         images.append(to_image(rank_histograms(verdict.ranks), "Ranks of the recordings"))
-        said += (
+        caption += (
             " Beside it the rank of each recording among the rollouts from its start (Besag and "
             "Clifford 1989): uniform for a perfect simulator, high at both ends where rollouts are "
             "too much alike. A perfect simulator's ranks are as uneven in "
             f"{100 * verdict.rank_p:.2g} % of experiments."
         )
-    yield Gallery(images, words.adapt(said))
+    yield Gallery(images, words.adapt(caption))
     yield verdict_as_table(verdict, words)
     scores = verdict.components
     if scores is None or scores.empty:
@@ -186,13 +186,13 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
     )
 
 
-def conditions_as_table(found: ComparedConditions) -> Table:
+def conditions_as_table(compared: ComparedConditions) -> Table:
     """Return one row per question, of recordings of two conditions."""
     caption = (
-        f"{found.names[1]} minus {found.names[0]}: means over recordings, and their difference "
-        "with an interval; all intervals together hold the truth in 97 % of experiments."
+        f"{compared.names[1]} minus {compared.names[0]}: means over recordings, and their "
+        "difference with an interval; all intervals together hold the truth in 97 % of experiments."
     )
-    return _rows_as_table(found.rows, found.names, caption)
+    return _rows_as_table(compared.rows, compared.names, caption)
 
 
 def _rows_as_table(
@@ -238,7 +238,7 @@ def _rows_as_table(
 
 
 def _caption(verdict: Verdict) -> str:
-    said = (
+    text = (
         f"{verdict.rollouts} rollouts from {verdict.starts} starts in {verdict.recordings} "
         "recordings. Means over recordings, and their difference with an interval: all intervals "
         "together hold the truth in 95 % of experiments. Alike: the interval lies within the "
@@ -247,13 +247,13 @@ def _caption(verdict: Verdict) -> str:
         f"classifiers: the area under the curve (.5: chance), alike up to {LITTLE_AUC:.2f}."
     )
     if "law" in verdict.table:
-        said += " Law: persistent random walkers that turn towards their focus, fitted to"
-        said += f" recordings. {compare_with_law(verdict.rows())}"
+        text += " Law: persistent random walkers that turn towards their focus, fitted to"
+        text += f" recordings. {compare_with_law(verdict.rows())}"
     if "strangers" in verdict.table:
-        said += " Strangers: recorded animals of different episodes put together, without reactions"
-        said += " to each other."
+        text += " Strangers: recorded animals of different episodes put together, without reactions"
+        text += " to each other."
     if "blind" in verdict.table:
-        said += " Blind: the same clone, where each animal is shown another one's neighbours."
+        text += " Blind: the same clone, where each animal is shown another one's neighbours."
     for key, name in ((AUC, "the first classifier"), (SEQUENCE, "that of order")):
         areas = verdict.areas.get(key, {})
         parts = [
@@ -261,13 +261,13 @@ def _caption(verdict: Verdict) -> str:
             for one, what in BESIDE.items()
             if one in areas and math.isfinite(areas[one].estimate)
         ]
-        said += f" The area of {name} is {' and '.join(parts)}." if parts else ""
+        text += f" The area of {name} is {' and '.join(parts)}." if parts else ""
     if verdict.smoothing > 1:
-        said += (
+        text += (
             " All positions, simulated ones too, went through a moving average of "
             f"{verdict.smoothing} frames first."
         )
-    return said
+    return text
 
 
 def comparison_as_table(
@@ -275,7 +275,7 @@ def comparison_as_table(
 ) -> Table:
     """Return one row per method, of each of the rules in ``countings`` of which episodes count."""
     comparison = evaluation.comparison
-    shown = [m for m in METRICS if m.heading and (comparison["measure"] == m.key).any()]
+    metrics = [m for m in METRICS if m.heading and (comparison["measure"] == m.key).any()]
 
     def format_rows(
         metric: Metric, write: Callable[[Any], str], of: str = ""
@@ -295,7 +295,7 @@ def comparison_as_table(
         "method": lambda one: words.label(one[0]),
         "n": format_rows(PATH_LENGTH, lambda row: str(int(row["rollouts"]))),
     }
-    for metric in shown:
+    for metric in metrics:
         unit = f"\n({words.unit_of(metric)})" if metric.is_length else ""
         columns[metric.heading + unit] = format_rows(
             metric, partial(words.format_value, metric=metric)

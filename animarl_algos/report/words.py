@@ -50,9 +50,9 @@ class Words:
         if not self.synthetic:
             return text
 
-        def generated(found: re.Match[str]) -> str:
-            word = ENDINGS[found[1].lower()]
-            return word.capitalize() if found[0][0].isupper() else word
+        def generated(match: re.Match[str]) -> str:
+            word = ENDINGS[match[1].lower()]
+            return word.capitalize() if match[0][0].isupper() else word
 
         return re.sub(r"\brecord(ed|ings?)\b", generated, text, flags=re.IGNORECASE)
 

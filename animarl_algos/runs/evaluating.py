@@ -20,7 +20,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.pretraining import few_or_count
-from animarl_algos.learner.progress import shown_progress
+from animarl_algos.learner.progress import progress_display
 from animarl_algos.losses.terms import Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
@@ -84,13 +84,13 @@ def _rolled_out(
         policies[UNTRAINED] = untrained, cue
         policies[RANDOM] = RandomPolicy(settings.seed, untrained.policy.num_actions), None
     names = [one.name for one in observation_components(run.species)]
-    found = {}
-    with shown_progress("rollouts", "method", len(policies)) as bar:
+    rollouts = {}
+    with progress_display("rollouts", "method", len(policies)) as bar:
         for name, (policy, cue) in policies.items():
             wrap = partial(Blindfolded, names=names) if name == BLIND else lambda policy: policy
-            found[name] = run.roll_out(policy, name, cue, scenario=scenario, wrap=wrap)
+            rollouts[name] = run.roll_out(policy, name, cue, scenario=scenario, wrap=wrap)
             bar.update()
-    return found
+    return rollouts
 
 
 def missing_baselines(run: Run) -> list[str]:
@@ -140,19 +140,19 @@ def far_acting_rules(run: Run) -> list[str]:
     file = run.acting_file(run.settings.algo)
     if not file.exists():
         return []
-    choice, found = read_json(file), []
+    choice, sentences = read_json(file), []
     if choice.get("short", 0.0) > MARGIN:  # models that were made before do not say
-        found.append(
+        sentences.append(
             "No candidate of the acting rules came as near to a recording as other recordings do "
             f"({choice['short']:.1f} standard errors short, on training and validation episodes): "
             "treat the simulator with care."
         )
     if not choice.get("repeats", True):
-        found.append(
+        sentences.append(
             "The choice of the acting rule did not repeat with other random numbers: candidates "
             "are as near, or there are too few recordings to tell."
         )
-    return found
+    return sentences
 
 
 # -- several runs ---------------------------------------------------------------------------------
@@ -212,19 +212,21 @@ class EvaluatedRuns:
     @cached_property
     def missing_baselines(self) -> list[str]:
         """What there is nothing of to compare with, each with what adds it, in sentences."""
-        baseline, found = method_name(BEHAVIOUR_CLONING), []
+        baseline, sentences = method_name(BEHAVIOUR_CLONING), []
         if baseline not in self.rollouts:
             file = shlex.quote(self.runs.first.settings.file)
-            found = [sentence for run in self.runs.runs for sentence in missing_baselines(run)] or [
+            sentences = [
+                sentence for run in self.runs.runs for sentence in missing_baselines(run)
+            ] or [
                 f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
                 f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
             ]
         if UNTRAINED not in self.rollouts:
-            found.append(
+            sentences.append(
                 "There is no untrained network to compare with: 'animarl run' without "
                 "--no-baselines rolls one out"
             )
-        return found
+        return sentences
 
 
 def compare_runs(
@@ -263,13 +265,15 @@ def compare_runs(
     parts: dict[str, dict[int, Rollouts]] = {name: {} for name in runs.methods}
     for run, own_folds in zip(runs.runs, folds):
         if crossed:
-            found = run_set.joined_rollouts(own_folds)
+            rolled_out = run_set.joined_rollouts(own_folds)
         elif new is None:
-            found = _stored_rollouts(run, runs)
+            rolled_out = _stored_rollouts(run, runs)
         else:
-            found = _rolled_out(run, run.starting_from("test", demos=new), without=runs.methods)
+            rolled_out = _rolled_out(
+                run, run.starting_from("test", demos=new), without=runs.methods
+            )
         own = method_name(run.settings.algo)
-        for name, some in found.items():
+        for name, some in rolled_out.items():
             if name == own or name not in runs.methods:
                 parts.setdefault(name, {}).setdefault(run.settings.seed, some)
     rollouts = {name: Rollouts.concatenate(list(p.values()), name) for name, p in parts.items()}
@@ -300,14 +304,14 @@ def _new_recordings(runs: run_set.RunSet, demos: Demonstrations) -> Demonstratio
 
 
 def _stored_rollouts(run: Run, runs: run_set.RunSet) -> dict[str, Rollouts]:
-    found, tests = run.rollouts(), int((runs.demos.split == "test").sum())
-    for rollouts in found.values():
+    stored, tests = run.rollouts(), int((runs.demos.split == "test").sum())
+    for rollouts in stored.values():
         if rollouts.individuals != runs.demos.individuals or int(rollouts.demo.max()) >= tests:
             raise InputError(
                 f"{run.path}: its rollouts of {rollouts.method} are of other recordings: make "
                 f"them again with 'animarl evaluate {run.path}'"
             )
-    return found
+    return stored
 
 
 # -- pages ----------------------------------------------------------------------------------------
@@ -331,49 +335,49 @@ def evaluate_runs(
         As :func:`compare_runs`, or if ``out`` cannot be written or is a run folder.
     """
     refuse_run_folder(out)
-    found = compare_runs(folders, demos=demos, questions=questions)
+    evaluated = compare_runs(folders, demos=demos, questions=questions)
     settings: dict[str, Any] = {}
-    for name, some in found.runs.methods.items():
+    for name, some in evaluated.runs.methods.items():
         settings[f"{name} learner"] = some[0].record["learner"]
         settings[f"{name} acting"] = {
             f"seed {run.settings.seed}": str(run.acting(run.settings.algo))
-            if found.new is not None
+            if evaluated.new is not None
             else acted_by(run)
             for run in some
         }
-    evaluation, made_by = found.evaluation, command("evaluate", folders)
+    evaluation, made_by = evaluated.evaluation, command("evaluate", folders)
     tables = {name: getattr(evaluation, name) for name in TABLES}
     with all_files_or_none(out) as part:
         evaluation.verdict.save(part)
         write_tables(tables | {"verdict": evaluation.verdict.table}, part)
-        run_page(report_inputs(found, evaluation, settings, made_by)).write(part)
-    return found
+        run_page(report_inputs(evaluated, evaluation, settings, made_by)).write(part)
+    return evaluated
 
 
 def report_inputs(
-    found: EvaluatedRuns,
+    evaluated: EvaluatedRuns,
     evaluation: Evaluation,
     settings: Mapping[str, Any],
     command: str,
     created: str = "",
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
-    runs = found.runs
+    runs = evaluated.runs
     demos, known, warnings = runs.demos, runs.page_inputs(), []
     for run in runs.runs:  # the terminal says the same while a run is made
         warnings += doubts(run.fit, run.learnable_demos)
         warnings += [*uninformative_clones(run), *far_acting_rules(run)]
     return ReportInputs(
         title=f"{runs.species.title}: {', '.join(runs.methods)}",
-        learner=found.learner,
-        demos=found.test,
-        rollouts=found.rollouts,
+        learner=evaluated.learner,
+        demos=evaluated.test,
+        rollouts=evaluated.rollouts,
         evaluation=evaluation,
         settings={"world": known["world"], "environment": known["environment"], **settings},
         seeds=tuple(sorted({run.settings.seed for run in runs.runs})),
         command=command,
         created=created,
-        folds=len(found.folds),
+        folds=len(evaluated.folds),
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
         warnings=tuple(warnings),
         **known,

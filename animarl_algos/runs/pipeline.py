@@ -23,7 +23,7 @@ from animarl_algos.learner.checkpoint import (
     load_checkpoint,
     steps_done,
 )
-from animarl_algos.learner.progress import shown_progress
+from animarl_algos.learner.progress import progress_display
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
@@ -69,14 +69,14 @@ def check_run(settings: RunSettings, demos: Demonstrations) -> None:
 
     Raises InputError: whatever making them, or beginning to learn, would refuse.
     """
-    species, asked = checked_species(settings, demos), settings.learner()
+    species, wanted = checked_species(settings, demos), settings.learner()
     env = SlotVecEnv(
         species,
         settings.copies,
         demos=demos,
         focal=settings.focal,
         condition_flag=None,
-        **asked.env_kwargs,
+        **wanted.env_kwargs,
     )
     env.offline_data().check_memory()
     if settings.acting != CHOSEN:
@@ -167,7 +167,7 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
 
 def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
     """Train the learners of a run anew for every fold, without its test recordings."""
-    begun = shown_progress("cross-validation", "fold", folds, disable=not progress_bar)
+    begun = progress_display("cross-validation", "fold", folds, disable=not progress_bar)
     with run.lock(), begun as bar:
         for number, fold in enumerate(run_set.begin_folds(run, folds), 1):
             with run.timed(f"fold {number} of {folds}"):
@@ -187,8 +187,10 @@ def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:
         if folds:
             rollouts = run_set.joined_rollouts(folds)
         runs = run_set.RunSet.of(run)
-        found = EvaluatedRuns(runs, rollouts, folds, seed=run.settings.seed, questions=questions)
-        evaluation = found.evaluation
+        evaluated = EvaluatedRuns(
+            runs, rollouts, folds, seed=run.settings.seed, questions=questions
+        )
+        evaluation = evaluated.evaluation
         evaluation.save(run.path / "evaluation")
     return evaluation
 
@@ -198,11 +200,11 @@ def report(run: Run) -> Path:
     with run.lock():
         record, folds = run.record, run_set.trained_folds(run)
         rollouts = run_set.joined_rollouts(folds) if folds else run.rollouts()
-        found = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
+        evaluated = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
         evaluation = Evaluation.load(run.path / "evaluation")
         acting = {"acting": acted_by(run)}
         settings = {"run": record["settings"] | acting, "learner": record["learner"]}
         settings |= {"reason": record.get("reasons", {})}
         made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-        inputs = report_inputs(found, evaluation, settings, record["command"], made)
+        inputs = report_inputs(evaluated, evaluation, settings, record["command"], made)
         return write_report(inputs, run.path / PAGE_FILE)

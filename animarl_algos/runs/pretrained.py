@@ -185,9 +185,9 @@ def model_card(
             + ", ".join(f"{name} {number:.3f}" for name, number in chosen.items())
         )
     made_by = " ".join(str(record["command"]).replace("`", "'").split())
-    shown = verdict_as_table(verdict, words)
-    table = [shown.columns, ["---"] * len(shown.columns)]
-    table += [row.cells for row in shown.groups[0].rows]
+    questions = verdict_as_table(verdict, words)
+    table = [questions.columns, ["---"] * len(questions.columns)]
+    table += [row.cells for row in questions.groups[0].rows]
     return f"""\
 # {safe(species.title)}: {settings.algo}
 

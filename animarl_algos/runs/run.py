@@ -181,8 +181,8 @@ class Run:
             raise InputError(
                 f"{self.path}: its checkpoints are gone, so it cannot go on: start a new run"
             )
-        asked = settings.changed(steps=steps or settings.steps, device=device or settings.device)
-        self._write_record(self.record | {"settings": asdict(asked)})
+        extended = settings.changed(steps=steps or settings.steps, device=device or settings.device)
+        self._write_record(self.record | {"settings": asdict(extended)})
 
     def suggested_command(self) -> str:
         """Return the command that adds to the run what it lacks: it skips whatever is there."""
@@ -256,13 +256,13 @@ class Run:
         if given is None:
             return self.demos
         given = run_world.select_individuals(given, self.environment_options)
-        shown, learned = (
+        names, learned = (
             ", ".join(f"{name} ({role})" for name, role in zip(d.individuals, d.roles))
             for d in (given, self.demos)
         )
-        if shown != learned:
+        if names != learned:
             raise InputError(
-                f"{given.name}: it shows {shown}, but {self.path} learned from {learned}: give "
+                f"{given.name}: it shows {names}, but {self.path} learned from {learned}: give "
                 "--demos of the same individuals, in this order"
             )
         return given
@@ -402,9 +402,9 @@ class Run:
 
         Raises InputError if none was chosen yet, or the file is damaged.
         """
-        asked, file = self.acting_rule or self.settings.acting, self.acting_file(algo)
-        if asked != CHOSEN:
-            return Acting.parse(asked)
+        rule, file = self.acting_rule or self.settings.acting, self.acting_file(algo)
+        if rule != CHOSEN:
+            return Acting.parse(rule)
         try:
             return Acting.from_json(read_json(file)["acting"])
         except FileNotFoundError:
@@ -419,8 +419,8 @@ class Run:
 
     def set_acting_rule(self, algo: str, model: SequenceQLearning) -> SequenceQLearning:
         """Set the acting rule of a trained ``model``; choose it if there is none yet."""
-        asked = self.acting_rule or self.settings.acting
-        if asked == CHOSEN and not self.acting_file(algo).exists():
+        rule = self.acting_rule or self.settings.acting
+        if rule == CHOSEN and not self.acting_file(algo).exists():
             self._choose_acting(algo, model)
         model.policy.acting = self.acting(algo)
         return model
@@ -443,8 +443,8 @@ class Run:
         gains = trait_gains(policy, make, traits, seed=seed, cue=_cue(model))
         for network in (model.policy.q_net, model.policy.q_net_target):
             network.amplify_inputs(components, gains)
-        said = ", ".join(f"{name} {gain:.2g}" for name, gain in zip(TRAITS, gains))
-        reason = {f"traits of {algo}": f"told louder, or animals were too much alike: {said}"}
+        factors = ", ".join(f"{name} {gain:.2g}" for name, gain in zip(TRAITS, gains))
+        reason = {f"traits of {algo}": f"told louder, or animals were too much alike: {factors}"}
         self._write_record(self.record | {"reasons": self.record.get("reasons", {}) | reason})
 
     def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:

@@ -102,7 +102,7 @@ def commit(root: Path) -> str:
     """Return the commit that the code in ``root`` stands at, and whether it was changed since."""
     if not (root / ".git").exists():
         return "none (an installed package, no checkout)"
-    asked = [
+    query = [
         "git",
         "-C",
         str(root),
@@ -113,6 +113,6 @@ def commit(root: Path) -> str:
         "--dirty= with changes",
     ]
     try:
-        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(query, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return "unknown (git did not tell)"

@@ -166,19 +166,21 @@ FOLDS = 5
 FOLDER = "folds"
 
 
-def number_of_folds(demos: Demonstrations, asked: int | None = None) -> int:
+def number_of_folds(demos: Demonstrations, wanted: int | None = None) -> int:
     """Return into how many folds a run is cross-validated, 0 for none.
 
     By default only where that makes a verdict possible: the test split has too few recordings, and
-    all splits together have enough. Raises InputError if ``asked`` are fewer than three folds, or
+    all splits together have enough. Raises InputError if ``wanted`` are fewer than three folds, or
     more than there are recordings.
     """
     tested = np.unique(demos.recording[demos.split == "test"])
-    if asked is None:
-        asked = FOLDS if len(tested) < MIN_TEST_RECORDINGS <= len(np.unique(demos.recording)) else 0
-    if asked:
-        next(cross_validated(demos, asked))
-    return asked
+    if wanted is None:
+        wanted = (
+            FOLDS if len(tested) < MIN_TEST_RECORDINGS <= len(np.unique(demos.recording)) else 0
+        )
+    if wanted:
+        next(cross_validated(demos, wanted))
+    return wanted
 
 
 def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
@@ -192,7 +194,7 @@ def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
             f"{run.path}: it is cross-validated in {there.pop()} folds already: give --folds "
             "accordingly, or another --out"
         )
-    found = []
+    begun = []
     given = Demonstrations.load(run.path / DEMONSTRATIONS)
     for number, demos in enumerate(cross_validated(given, folds), 1):
         fold = Run(run.path / FOLDER / f"{number}-of-{folds}", run.acting_rule)
@@ -200,8 +202,8 @@ def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
         reasons = run.record.get("reasons", {})
         chosen = {key: why for key, why in reasons.items() if key in field_types(RunSettings)}
         fold.start(run.settings, demos, run.record["command"], chosen)
-        found.append(fold)
-    return tuple(found)
+        begun.append(fold)
+    return tuple(begun)
 
 
 def trained_folds(run: Run) -> tuple[Run, ...]:
@@ -243,10 +245,10 @@ def joined_tracking(folds: Sequence[Run]) -> Tracking:
     for fold in folds:
         own, species = fold.demos, fold.species
         frames = np.repeat(own.split == "test", own.lengths)
-        found = track(own.select(split="test"), species.locomotion, species.arena)
+        tracked = track(own.select(split="test"), species.locomotion, species.arena)
         paths[frames], speeds[frames], actions[frames] = (
-            found.positions,
-            found.velocities,
-            found.actions,
+            tracked.positions,
+            tracked.velocities,
+            tracked.actions,
         )
     return Tracking(paths, speeds, actions)

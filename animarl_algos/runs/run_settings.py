@@ -185,7 +185,7 @@ def environment_options(env: str) -> dict[str, Any]:
         ) from error
 
 
-def asked_species(env: str | None, species: str | None) -> str | None:
+def species_of_options(env: str | None, species: str | None) -> str | None:
     """Return the species that ``--env`` and ``--species`` name; None if neither is given.
 
     Raises InputError if they contradict each other, or the environment is no animals' world.

@@ -87,14 +87,14 @@ def changed_inputs(species: Species, options: Mapping[str, Any]) -> str:
         if key in options:
             return key
 
-    def shown(given: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    def inputs(given: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         components = observation_components(with_options(species, **given))
         return [(one.name, one.frame, one.unit) for one in components]
 
-    if shown(options) == shown({}):
+    if inputs(options) == inputs({}):
         return ""
     for key, value in options.items():
         with suppress(InputError):  # one that needs another beside it
-            if shown({key: value}) != shown({}):
+            if inputs({key: value}) != inputs({}):
                 return key
     return " with ".join(options)

@@ -92,20 +92,22 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
     def read_hyperparameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the settings of the preset with those of the command line over them, checked."""
         overrides, file = self.custom_hyperparams or {}, self.args.conf_file
-        found = learner_preset(self.algo, self.env_name.gym_id, self.preset, overrides, config=file)
+        preset = learner_preset(
+            self.algo, self.env_name.gym_id, self.preset, overrides, config=file
+        )
         given, options = self._eval_env_kwargs_args or {}, dict(self.env_kwargs)
         if self.species is not None:
             for name, instead in TRAINING_ONLY_OPTIONS.items():
                 if name in options | given:
                     raise InputError(f"--env-kwargs {name}: training sets it itself: {instead}")
-            options = found.env_kwargs | options
+            options = preset.env_kwargs | options
         self.eval_env_kwargs = options | given
-        run = {"n_timesteps": found.n_timesteps, "n_envs": found.n_envs, "env_kwargs": options}
-        settings = found.arguments | run
+        run = {"n_timesteps": preset.n_timesteps, "n_envs": preset.n_envs, "env_kwargs": options}
+        settings = preset.arguments | run
         source = file or f"zoo_configs/{self.algo}.yml ({self.preset})"
         print(f"Settings from {source}:\n{yaml.safe_dump(settings)}")
         # A trained agent brings what the preset leaves open; a new one takes it from the files.
-        whole = vars(found.settings) | deepcopy(run)
+        whole = vars(preset.settings) | deepcopy(run)
         network = whole["policy_kwargs"]
         samples = whole["exploration"] == "boltzmann" or "temperature" in network
         self.deterministic_eval = self.deterministic_eval and not samples
@@ -180,12 +182,12 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         try:
             return super()._load_pretrained_agent(hyperparams, env)
         except InputError as error:
-            said, place = str(error), str(self.trained_agent)
-            raise InputError(said if said.startswith(place) else f"{place}: {said}") from None
+            reason, place = str(error), str(self.trained_agent)
+            raise InputError(reason if reason.startswith(place) else f"{place}: {reason}") from None
         except Exception as error:  # reading damaged pickles can raise any
-            said = summarise_error(error) or type(error).__name__
+            reason = summarise_error(error) or type(error).__name__
             raise InputError(
-                f"{self.trained_agent}: it is no model of {self.algo} ({said}): name one that "
+                f"{self.trained_agent}: it is no model of {self.algo} ({reason}): name one that "
                 "'train' saved with this --algo and --env"
             ) from error
 

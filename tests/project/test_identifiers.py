@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 VAGUE = {"told", "said", "asked", "found", "shown", "who", "whom", "whose"}
-CLEAN = ("animarl_envs", "animarl_algos/whatif")
+CLEAN = ("animarl_envs", "animarl_algos")
 HOMONYMS = {"Row", "Table"}  # of a page and of what it shows
 
 

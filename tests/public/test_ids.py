@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from animarl_algos import BC, DQAAS, DQCIL, DQDIL, DQN, SlotVecEnv
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pretrained import model_folder
-from animarl_algos.runs.run_settings import RunSettings, asked_species, environment_options
+from animarl_algos.runs.run_settings import RunSettings, environment_options, species_of_options
 from animarl_envs import parallel_env
 from animarl_envs.demos.packaged import load_packaged
 
@@ -27,7 +27,7 @@ def test_every_front_door_takes_ids_and_names(name: str) -> None:
     assert SlotVecEnv(name, 1).individuals == ("male_0", "male_1", "female")
     assert RunSettings(species=name, steps=1).species == "newt"
     assert environment_options(name) == {"species": "newt"}
-    assert asked_species(name, name) == asked_species(None, name) == "newt"
+    assert species_of_options(name, name) == species_of_options(None, name) == "newt"
     assert load_packaged(name).species == "newt" and model_folder(name).name == "newt"
     assert DQN("GruPolicy", name, policy_kwargs=SMALL).observation_size == 64
 

@@ -390,7 +390,7 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_in_a_log(
     said = {}
     for there in (True, False):
         monkeypatch.setattr(sys, "stderr", Terminal(there))
-        with progress.shown_progress("offline", "epoch", 4) as bar:
+        with progress.progress_display("offline", "epoch", 4) as bar:
             for _ in range(4):
                 time.sleep(0.02)
                 bar.update()
