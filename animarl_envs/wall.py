@@ -242,7 +242,7 @@ def serve(answer: int) -> None:
 
 
 def _answer(request: Any, channel: int) -> dict[str, NDArray[Any]]:
-    """Call a function within its limits; return a record of what came of it, and its arrays."""
+    """Call a function within its limits; return a record of its result or error, and its arrays."""
     folder, memory, seconds, function, arguments, progressing = request
     arrays: dict[str, NDArray[Any]] = {}
 

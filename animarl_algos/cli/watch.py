@@ -273,7 +273,7 @@ def programmed_actor(scenario: Scenario, seed: int) -> Actor:
 
 
 def trained_actor(policy: Any) -> Actor:
-    """Return a policy of ``predict``; one that was trained with the condition's flag is told it."""
+    """Return a policy of ``predict``, with the condition's flag where it was trained with it."""
     from animarl_algos.evaluation.collect import remembered
 
     state: Any = None

@@ -189,7 +189,7 @@ class OfflineDataset:
         return int(self._sequences.trained[self._episodes].sum())
 
     def _generators(self, root: np.random.Generator) -> list[np.random.Generator]:
-        """One for each individual, from one number drawn of ``root`` and its name.
+        """Return a generator for each individual, seeded by a draw of ``root`` and its name.
 
         So individuals trained together see what each would see alone.
         """

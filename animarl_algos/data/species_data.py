@@ -40,7 +40,7 @@ class Labels(StrEnum):
 
 
 def check_labels(labels: str, width: float, horizon: float = 1.0) -> None:
-    """Refuse settings of labels that are none."""
+    """Refuse unknown settings of labels."""
     if labels not in list(Labels):
         raise InputError(f"labels is {labels!r}: choose {', '.join(Labels)}")
     check_value("label_width", width, Positive)

@@ -74,20 +74,20 @@ class ActingChoice:
 
 
 def candidate_rules(temperatures: ArrayLike) -> list[Acting]:
-    """Sampling at 1, at shares of the fitted ``temperatures`` ``(K,)``, and greedy."""
+    """Return sampling at 1, at shares of the fitted ``temperatures`` ``(K,)``, and greedy."""
     fitted = np.atleast_1d(np.asarray(temperatures, dtype=np.float64))
     tried = [np.ones_like(fitted), *(fitted * share for share in COOLER)]
     return [*(Acting.boltzmann(temperature) for temperature in tried), Acting()]
 
 
 def further_rules(temperatures: ArrayLike) -> list[Acting]:
-    """Sampling at one share of the ``temperatures`` for how hard, at another for which way."""
+    """Return rules that sample thrust and direction at different shares of ``temperatures``."""
     fitted = np.atleast_1d(np.asarray(temperatures, dtype=np.float64))
     return [Acting.boltzmann(fitted, thrust=hard, direction=way) for hard, way in APART]
 
 
 def choice_episodes(demos: Demonstrations, seed: int) -> Demonstrations:
-    """The episodes to choose by: those of validation, and of training up to ``MOST_STARTS``."""
+    """Return the episodes to choose by: validation, then training, up to ``MOST_STARTS``."""
     validation, training = (np.flatnonzero(demos.split == name) for name in ("val", "train"))
     rng = np.random.default_rng([seed, len(training)])
     spare = max(0, MOST_STARTS - len(validation))
@@ -110,7 +110,7 @@ def choose_acting(
     seed: int,
     cue: Cue | None = None,
 ) -> ActingChoice:
-    """The rule under whose rollouts the recordings are likeliest.
+    """Return the acting rule under whose rollouts the recordings are likeliest.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which of these two is recorded? A classifier's answer, after Lopez-Paz and Oquab (2017, ICLR).
+"""How well a classifier tells simulated from recorded motion (Lopez-Paz and Oquab 2017, ICLR).
 
 How often boosted trees rank a simulated window of motion above a recorded one, the area under the
 ROC curve, is 0.5 if nothing distinguishes the two and 1 if everything does. They are asked about
@@ -194,7 +194,7 @@ def _cut(rollouts: Rollouts, steps: int) -> tuple[Ints, Ints, Ints]:
 def _series(
     paths: Floats, rollouts: Rollouts, arena: Arena, still: Floats
 ) -> list[tuple[str, Floats]]:
-    """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``.
+    """Return the series of windows ``(windows, frames, K, 2)``, each ``(windows, times)``.
 
     Of a group, ``(windows * K, times)``.
     """
@@ -414,7 +414,7 @@ def _thinned(windows: Windows, rng: np.random.Generator) -> Windows:
 
 
 def _levels(values: Floats) -> Floats:
-    """Every feature as its level among all windows, -1 where it is not defined.
+    """Return each feature as its quantile level among all windows, -1 where it is not defined.
 
     Trees ask for nothing but the order. The library would find the levels again in every fit, which
     takes it ten times as long as to grow the trees.

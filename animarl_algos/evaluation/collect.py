@@ -33,7 +33,7 @@ class Policy(Protocol):
 
 
 class MemorylessPolicy(ABC):
-    """A policy that acts by what is observed now; what it is told besides makes no difference."""
+    """A policy that acts on the present observation alone."""
 
     @abstractmethod
     def act(self, observation: Any) -> Ints:

@@ -117,7 +117,7 @@ class Metric:
         return self.share or self.unit == "share"
 
     def complaint(self, more: bool) -> str:
-        """Return what the verdict says of too much (``more``) or of too little."""
+        """Return the verdict's words for a value that is too high (``more``) or too low."""
         given = self.too_much if more else self.too_little
         return given or f"{self.label[:1].lower()}{self.label[1:]} too {'high' if more else 'low'}"
 

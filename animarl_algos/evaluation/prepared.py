@@ -35,7 +35,7 @@ SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a s
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Recordings smoothed, with what is worked out once for all comparisons with them.
+    """Smoothed recordings, with what all comparisons with them have in common.
 
     ``smoothing`` are the frames of the moving average that both sides go through, 1 for none.
     """
@@ -107,7 +107,7 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredEpisodes:
-    """What metrics are worked out from: rollouts beside the recordings that they started from.
+    """Rollouts beside the recordings that they started from, as metrics need them.
 
     ``rollouts.demo`` counts the episodes of ``prepared.demos``.
     """

@@ -1,4 +1,4 @@
-"""How strongly a clone answers to its traits, and by how much they must be said louder.
+"""How strongly a clone responds to its traits, and the gains that make it respond enough.
 
 A network learns from few animals, shrinks what it learns of their traits
 (:mod:`animarl_envs.species.traits`), and so simulates animals that are too much alike. How much is
@@ -50,7 +50,7 @@ def trait_gains(
     seed: int,
     cue: Cue | None = None,
 ) -> Floats:
-    """Factors ``(2,)`` on the traits, of which simulated animals differ as training animals do.
+    """Return factors ``(2,)`` on the traits that make simulated animals differ as recorded ones.
 
     With an answer b and a standard deviation r of what the traits do not explain, animals that get
     g times their traits t differ by ``sqrt(b^2 g^2 var(t) + r^2)``, which is to be that of training

@@ -242,7 +242,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
 
     @classmethod
     def _kind(cls) -> dict[str, Any]:
-        """Return what a zip file says of the learner that it is of."""
+        """Return the kind of learner that a zip file records."""
         return {"name": cls.__name__, "recipe": cls.recipe.name, "quantiles": cls.quantiles}
 
     def _as_data(self, demos: Demonstrations) -> Any:

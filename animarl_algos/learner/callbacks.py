@@ -30,7 +30,7 @@ TERMINATED = 128 + signal.SIGTERM
 
 
 class BoundaryCallback(BaseCallback):
-    """Is told between updates, when the state of a run is whole, and when ``learn`` ends."""
+    """Is called between updates, when the state of a run is whole, and when ``learn`` ends."""
 
     model: Any  # a SequenceQLearning, whose list boundary_hooks this joins
 

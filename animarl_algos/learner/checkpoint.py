@@ -165,7 +165,7 @@ def load_checkpoint(model: Any, folder: str | Path) -> None:
 
 
 def _identity(model: Any) -> dict[str, Any]:
-    """Return what a checkpoint must agree with, JSON-like."""
+    """Return what a run and its checkpoint must have in common, as plain data."""
     return {
         "algorithm": type(model).__name__,
         "policy": model.policy_class.__name__,
@@ -323,7 +323,7 @@ def loading(path: Place, saved_by: dict[str, Any]) -> Iterator[None]:
 
 
 def _saved_by(path: Place) -> dict[str, Any] | None:
-    """Return what a zip file says of its learner, pickles unread; None if it is no such file."""
+    """Return the learner that a zip file records, without its pickles; None for other files."""
     with _opened(path, "r", "zip") as file:
         try:
             with zipfile.ZipFile(file) as archive:

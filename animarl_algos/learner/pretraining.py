@@ -62,11 +62,11 @@ class OfflineProgress:
         return max(self.best_epochs, default=0)
 
     def running(self, patience: int | None) -> list[bool]:
-        """Return which individuals still wait for a better epoch."""
+        """Return which individuals have patience left."""
         return [patience is None or self.epoch - best < patience for best in self.best_epochs]
 
     def over(self, epochs: int, patience: int | None) -> bool:
-        """Return whether no epoch is to follow: all are done, or nobody waits for a better one."""
+        """Return whether training is over: all epochs done, or all individuals out of patience."""
         return self.epoch >= epochs or (self.epoch > 0 and not any(self.running(patience)))
 
     def to_json(self) -> dict[str, Any]:

@@ -10,7 +10,7 @@ LOG_EVERY = 30.0  # [s] between lines of progress where there is no terminal
 
 
 class Log:
-    """Standard error where nobody watches: what a terminal writes over is a line of its own."""
+    """Standard error for logs: each state of a progress bar becomes a line of its own."""
 
     def write(self, text: str) -> None:
         """Write a text, each state of the bar on a line of its own."""

@@ -371,7 +371,7 @@ class OfflineSettings(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class LearnerFile(LearnerSettings):
-    """What a section of a file of ``zoo_configs`` may say.
+    """Settings that a section of a file of ``zoo_configs`` may have.
 
     Numbers may be written ``1e-4``, which YAML takes for text, and tables as rl_zoo3 writes them,
     ``"dict(net_arch=[64, 64])"``; literals alone are read, nothing is evaluated.

@@ -39,7 +39,7 @@ PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the 
 
 @dataclass(frozen=True, kw_only=True)
 class ReplaySettings(Checked):
-    """What ``replay_buffer_kwargs`` may say."""
+    """Settings in ``replay_buffer_kwargs``."""
 
     alpha: NotNegative = 0.6
     """Exponent of the priorities."""

@@ -71,7 +71,7 @@ class Sequences(NamedTuple):
 
     @classmethod
     def zeros(cls, slots: int, individuals: int, state_size: int) -> Sequences:
-        """Return sequences of no steps."""
+        """Return empty sequences."""
         first, prefix, trained, frames = (np.zeros(slots, np.int64) for _ in range(4))
         at_start, terminated = (np.zeros(slots, np.bool_) for _ in range(2))
         condition = np.zeros(slots, np.float32)

@@ -215,7 +215,7 @@ def to_image(figure: Figure, alt: str) -> Image:
 
 
 def _with_own_ids(drawing: str) -> str:
-    """Ids that are referred to get a name of the drawing's own; the others go."""
+    """Make the ids of a drawing unique on a page, and remove those that nothing refers to."""
     own = hashlib.sha256(drawing.encode()).hexdigest()[:10]
     used = set(re.findall(r'(?:xlink:href="#|url\(#)([\w.-]+)', drawing))
     drawing = re.sub(

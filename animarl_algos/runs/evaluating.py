@@ -94,7 +94,7 @@ def _rolled_out(
 
 
 def missing_baselines(run: Run) -> list[str]:
-    """Return what the run was asked for but does not have, each with the command that adds it."""
+    """Return the baselines that a run lacks, each with the command that adds it."""
     return [
         f"{run.path}: it has no trained {method_name(algo)} to compare with: add it with "
         f"'{run.suggested_command()}'"
@@ -211,7 +211,7 @@ class EvaluatedRuns:
 
     @cached_property
     def missing_baselines(self) -> list[str]:
-        """What there is nothing of to compare with, each with what adds it, in sentences."""
+        """Baselines that are missing, each with the command that adds it, in sentences."""
         baseline, sentences = method_name(BEHAVIOUR_CLONING), []
         if baseline not in self.rollouts:
             file = shlex.quote(self.runs.first.settings.file)

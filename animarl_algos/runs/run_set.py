@@ -217,7 +217,7 @@ def trained_folds(run: Run) -> tuple[Run, ...]:
 
 
 def _number(folder: Path) -> tuple[int, int]:
-    """Return which fold it is, from 1, and of how many."""
+    """Return the number of a fold, from 1, and how many there are."""
     number, _, folds = folder.name.partition("-of-")
     return int(number), int(folds)
 

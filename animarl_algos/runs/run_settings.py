@@ -1,4 +1,4 @@
-"""What a run can be told: the options of ``animarl run`` and ``train``, recorded in its folder.
+"""The options of ``animarl run`` and ``train``, which a run's folder records.
 
 The command line is made from these models, so that its help does not import what learns: checks
 that need it import it.
@@ -33,7 +33,7 @@ Preset = Literal["paper", "default"]
 
 @dataclass(frozen=True, kw_only=True)
 class PipelineSettings(Checked):
-    """What is done around a learner, as ``zoo_configs/pipeline.yml`` may say it."""
+    """Settings of the stages around a learner, as in ``zoo_configs/pipeline.yml``."""
 
     fit_method: Literal["joint", "onset", "species"] = "joint"
     """joint, onset (the paper's rule) or species (its own parameters, nothing is fitted; with

@@ -50,7 +50,7 @@ QUANTILES = (10, 20, 50)
 
 
 def sample_settings(trial: optuna.Trial, algo: str, given: dict[str, Any]) -> dict[str, Any]:
-    """Return what optuna chooses for a learner, by the terms of its recipe, but what is given."""
+    """Sample hyperparameters for a recipe; settings that are given are not sampled."""
     named = named_recipe(algo)
     recipe = named.algorithm.recipe
     scales: dict[str, tuple[float, float]] = {}  # logarithmic

@@ -211,7 +211,7 @@ def _until_contact(distance: Floats, contact: float | None, offset: int) -> Cut:
 
 
 def _outcome_at_end(ends: str, positions: Floats, distance: Floats, roles: Sequence[str]) -> int:
-    """Return the outcome of a recording by its last frame, as far as ``ends`` says what it means.
+    """Return the outcome of a recording by its last frame, as ``ends`` interprets it.
 
     Whoever is farthest from the centre then is taken for the one that left.
     """

@@ -67,7 +67,7 @@ class Turning:
 
 
 def as_turning(given: Any, place: str) -> Turning | None:
-    """Return a turning from one, from its numbers by name, or none; ``whose`` is for messages."""
+    """Return a turning given as such or by its numbers, or None; ``whose`` is for messages."""
     if isinstance(given, Mapping):
         try:
             return Turning(**given)

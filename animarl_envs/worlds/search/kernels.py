@@ -171,7 +171,7 @@ def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, bod
 
 @inline_kernel
 def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
-    """Set the body at the start of an episode: as recorded, else as it walks, upwind at rest."""
+    """Set the first heading of an episode: as recorded, else as it walks, or upwind at rest."""
     known = recorded and len(demo_heading) > 0
     if known:
         set_direction(b, demo_heading[frame], body)
