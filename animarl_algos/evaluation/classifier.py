@@ -10,7 +10,8 @@ Short windows are described by the same few series (speeds, acceleration, turnin
 bearings, place in the arena) of all individuals, each summed up by its mean, spread, extremes and
 median. These are unsigned, so a path cannot be told from the same path reversed, or circles from a
 search. Long windows, up to a quarter of an episode, are therefore described by the measures of
-:mod:`animarl_algos.evaluation.order_in_time`. What their areas are printed beside excuses no row.
+:mod:`animarl_algos.evaluation.order_in_time`. A row is not judged where closed-loop tracking is
+told as well, by the same kind of feature: that is the file or the locomotion, not the policy.
 """
 
 from __future__ import annotations
@@ -68,6 +69,10 @@ LEVEL = 0.01  # of each classifier, at either end of its interval
 MIN_RECORDINGS = 3  # for an interval
 PART = 15  # windows of a part, where whole demonstrations are too few for a fit
 AUC, SEQUENCE = "auc", "auc_sequence"
+LITTLE_AUC = 0.60
+"""Alike up to this area: two normal curves 0.36 standard deviations apart."""
+NEAR_TRACKING = 0.02
+"""Tracking is told as well as a simulation whose area is larger by no more."""
 
 
 # -- windows --------------------------------------------------------------------------------------
@@ -279,13 +284,28 @@ class ClassifierResult:
     its ``reason`` says why. ``importance`` is by how much the area falls when the features of one
     kind are shuffled. It is read beside ``areas``, and nothing of them is subtracted: those of
     recordings ``among`` themselves, of closed-loop tracking (``floor``) and of random actions
-    (``ceiling``). ``units`` is the number of recordings that were compared.
+    (``ceiling``). ``units`` is the number of recordings that were compared. ``tracking_part`` is
+    the kind of feature by which most of all closed-loop tracking differs from the recordings; empty
+    where it does not.
     """
 
     auc: Interval
     importance: Mapping[str, float] = field(default_factory=dict)
     areas: Mapping[str, Interval] = field(default_factory=dict)
     units: int = 0
+    tracking_part: str = ""
+
+    @property
+    def main_part(self) -> str:
+        """The kind of feature that tells most; empty if none was shuffled."""
+        return max(self.importance, key=lambda part: self.importance[part], default="")
+
+    @property
+    def tells_tracking_as_well(self) -> bool:
+        """Whether closed-loop tracking is told by the same kind, and hardly worse."""
+        floor = self.areas.get("floor", UNDEFINED).estimate
+        same = bool(self.tracking_part) and self.tracking_part == self.main_part
+        return same and self.auc.estimate <= floor + NEAR_TRACKING
 
 
 def classify(
@@ -542,6 +562,11 @@ def classify_all(
         if not alone:
             areas["among"] = among(own)
         if not alone and key == AUC:
-            areas |= {k: classify(own, windows(s), rng, deals=1).auc for k, s in sides.items()}
+            for name, side in sides.items():
+                tracking = name == "floor"
+                beside = classify(own, windows(side), rng, deals=1, importance=tracking)
+                areas[name] = beside.auc
+                if tracking and interval_over_recordings(beside.auc, recordings).low > LITTLE_AUC:
+                    result = replace(result, tracking_part=beside.main_part)
         auc = interval_over_recordings(result.auc, recordings)
         yield key, label, replace(result, auc=auc, areas=areas, units=recordings)

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from animarl_algos.evaluation import statistics
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE, ClassifierResult
+from animarl_algos.evaluation.classifier import AUC, LITTLE_AUC, SEQUENCE, ClassifierResult
 from animarl_algos.evaluation.differences import (
     LEVEL,
     MIN_RECORDINGS,
@@ -77,7 +77,6 @@ FINDINGS = (
 )
 """Columns of a verdict's table that other tables show, beside what a row is of."""
 COLOURS = {ALIKE: "green", LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
-LITTLE_AUC = 0.60  # alike up to here: two normal curves 0.36 standard deviations apart
 POWER = 0.84  # standard errors beyond the margin, for a change to be found in 80 % of experiments
 STRANGERS, BLIND = "strangers", "blind"
 CONTROLS = (LAW, "random", STRANGERS, BLIND)
@@ -505,8 +504,11 @@ def classifier_row(key: str, label: str, result: ClassifierResult) -> Row:
     """Return the row of a classifier."""
     area, among = result.auc, result.areas.get("among", UNDEFINED)
     judgement, needed, reason = judge_area(area), math.nan, area.reason
-    part = max(result.importance, key=lambda what: result.importance[what], default="")
-    by = f", most of all by {lower_first(KINDS.get(part, part))}" if part else ""
+    part = lower_first(KINDS.get(result.main_part, result.main_part))
+    by = f", most of all by {part}" if part else ""
+    if judgement in (DIFFERS, LITTLE) and result.tells_tracking_as_well:
+        judgement = UNKNOWN
+        reason = f"perfect control in this locomotion is told as well{by}"
     words = judgement
     if judgement in (DIFFERS, LITTLE):
         pairs = f"a classifier tells simulated from recorded in {100 * area.estimate:.0f} of 100"

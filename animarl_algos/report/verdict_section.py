@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table as TerminalTable
 from rich.text import Text
 
-from animarl_algos.evaluation.classifier import AUC, SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, LITTLE_AUC, SEQUENCE
 from animarl_algos.evaluation.comparison import COUNTING, ENERGY, Evaluation
 from animarl_algos.evaluation.conditions import ComparedConditions
 from animarl_algos.evaluation.headline import compare_with_law, detectable_changes
@@ -22,7 +22,6 @@ from animarl_algos.evaluation.verdict_rows import (
     CONTROLS,
     DIFFERS,
     LITTLE,
-    LITTLE_AUC,
     UNKNOWN,
     Row,
     farness,

@@ -333,7 +333,8 @@ def refusing_damage(
 
 
 MIN_GRID_COORDINATES = 20  # distinct coordinates; fewer lie on a grid by chance
-FINEST = 2.0**-24  # of their range: finer steps are what single precision rounds to
+FINEST = 2.0**-24  # of their range: in single precision, finer steps are rounding
+FINEST_DOUBLE = 2.0**-34  # of their range: in double precision, finer steps are rounding
 FINEST_SINGLE = 2.0**-20  # where coordinates are themselves rounded to single precision
 SINGLE = 2.0**-23  # of the largest coordinate: two such roundings, of a coordinate and the lowest
 OFF = 1e-3  # steps that a coordinate may lie beside the grid
@@ -394,7 +395,8 @@ def _axis(coordinates: Floats) -> tuple[float, float] | None:
     if len(distinct) < MIN_GRID_COORDINATES:
         return None
     lowest, largest = float(distinct[0]), float(np.abs(distinct).max())
-    for finest, rounding in ((FINEST, 0.0), (FINEST_SINGLE, SINGLE * largest)):
+    double = FINEST if np.array_equal(distinct, distinct.astype(np.float32)) else FINEST_DOUBLE
+    for finest, rounding in ((double, 0.0), (FINEST_SINGLE, SINGLE * largest)):
         step = _common_step(distinct, finest * float(distinct[-1] - lowest), rounding)
         if step is not None:
             return step, lowest - round(lowest / step) * step
@@ -424,6 +426,11 @@ def _common_step(distinct: Floats, finest: float, rounding: float) -> float | No
 
 def _averaged(distinct: Floats, step: float) -> float:
     """Return the step, estimated from ever longer distances, where rounding matters less."""
+    gaps = np.sort(np.diff(distinct))
+    gaps, number = gaps[gaps > step / 2], 1
+    while number < len(gaps):
+        step = float(gaps[:number].sum() / np.round(gaps[:number] / step).sum())
+        number *= 2
     lag = 1
     while lag < len(distinct):
         apart = distinct[lag:] - distinct[:-lag]

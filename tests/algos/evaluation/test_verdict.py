@@ -16,7 +16,7 @@ from refusals import refuses
 from scipy import stats
 from scipy.stats import CensoredData, ecdf
 
-from animarl_algos.evaluation.classifier import interval_over_recordings
+from animarl_algos.evaluation.classifier import ClassifierResult, interval_over_recordings
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.differences import Differences, Sides, simultaneous_differences
 from animarl_algos.evaluation.metrics import (
@@ -43,6 +43,7 @@ from animarl_algos.evaluation.verdict_rows import (
     UNKNOWN,
     Questions,
     Row,
+    classifier_row,
     judge,
     judge_area,
 )
@@ -228,7 +229,30 @@ def test_order_in_time_is_told_in_the_unit_of_the_recordings() -> None:
     assert told[KINEMATIC].judgement == plain[KINEMATIC].judgement == DIFFERS
 
 
-def test_tracking_excuses_nothing() -> None:
+@pytest.mark.parametrize(
+    ("part", "floor", "word"),
+    [
+        ("turning", 0.97, UNKNOWN),  # the file or the locomotion is told
+        ("speed", 0.97, DIFFERS),  # by something else
+        ("turning", 0.90, DIFFERS),  # not as well
+        ("", 0.97, DIFFERS),  # tracking is alike
+    ],
+)
+def test_a_classifier_that_tells_tracking_as_well_judges_no_policy(
+    part: str, floor: float, word: str
+) -> None:
+    told = ClassifierResult(
+        Interval(0.98, 0.95, 1.0),
+        importance={"speed": 0.1, "turning": 0.3},
+        areas={"floor": Interval(floor, 0.85, 1.0)},
+        units=20,
+        tracking_part=part,
+    )
+    row = classifier_row("auc", "Classifier", told)
+    assert row.judgement == word and "most of all by turning" in row.verdict
+
+
+def test_tracking_that_is_told_by_another_feature_excuses_nothing() -> None:
     demos = recorded_pairs()
     slow = simulated_pairs(demos, "slow")
     first = np.repeat(demos.positions[demos.offsets[:-1]], demos.lengths, axis=0)
@@ -569,7 +593,7 @@ def test_recordings_without_rollouts_are_left_out() -> None:
 
 
 def test_circles_are_said_in_words() -> None:
-    assert ORDER_METRICS["turn autocorrelation at"].complaint(more=True) == "walks in circles"
+    assert ORDER_METRICS["turn autocorrelation at"].complaint(more=True).startswith("keeps turning")
     assert ORDER_METRICS["turning"].complaint(more=True) == "turns too much"
     own = replace(ORDER_METRICS["spread of speed"], label="Spread of speed, larva")
     assert own.complaint(more=False) == "spread of speed, larva too low"

@@ -85,9 +85,16 @@ def test_rollouts_are_rounded_as_the_recordings_are_and_simulated_as_ever() -> N
     assert np.array_equal(given.positions, rounded(exact.positions, coarse))
 
 
-def test_perfect_tracking_is_told_from_recordings_only_by_the_grid() -> None:
-    """Packaged flies are simulated with the actions of their locomotion, then rounded."""
+@pytest.mark.parametrize("scale", [1.0, 1.033])
+def test_perfect_tracking_is_told_from_recordings_only_by_the_grid(scale: float) -> None:
+    """Packaged flies are simulated with the actions of their locomotion, then rounded.
+
+    At another scale: as tracks of seven decimals that an import has scaled.
+    """
     demos = load_packaged("fly").select(split="train")
+    if scale != 1.0:
+        exact = track(demos, FLY.locomotion).positions
+        demos = replace(demos, positions=exact.round(7) / scale)
     recorded = Rollouts.from_demonstrations(demos)
 
     def told(positions: np.ndarray) -> float:
@@ -98,6 +105,25 @@ def test_perfect_tracking_is_told_from_recordings_only_by_the_grid() -> None:
         rng = np.random.default_rng(0)
         return classify(windows(recorded), windows(followed), rng).auc.estimate
 
-    followed = track(demos, FLY.locomotion).positions
+    followed = track(demos, FLY.locomotion).positions if scale == 1.0 else exact / scale
     assert told(followed) > 0.8
     assert abs(told(rounded(followed, demos.resolution())) - 0.5) < 0.1
+
+
+@pytest.mark.parametrize("scale", [1.033, 0.37])
+def test_seven_decimals_are_found_after_scaling(scale: float) -> None:
+    found = find_resolution(SOMEWHERE.round(7) / scale)
+    assert found is not None
+    assert found.step == pytest.approx((1e-7 / scale,) * 2, rel=1e-6)
+
+
+def test_recordings_with_grids_of_their_own_have_one_of_the_median_step() -> None:
+    demos = load_packaged("fly").select(split="train")
+    names, recording = np.unique(demos.recording, return_inverse=True)
+    factor = 1.0 / (1.0 + 0.001 * np.pi * np.arange(len(names)))
+    each = np.repeat(factor[recording], demos.lengths)[:, None, None]
+    scaled = replace(demos, positions=demos.positions * each)
+    found = scaled.resolution()
+    assert find_resolution(scaled.positions) is None and found is not None
+    assert found.step == pytest.approx((np.median(factor) * 2.0**-17,) * 2, rel=0.02)
+    assert replace(demos, positions=np.sin(demos.positions)).resolution() is None
