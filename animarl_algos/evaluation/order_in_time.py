@@ -176,7 +176,8 @@ def order_measures(
             if alone or rollouts.is_group:
                 rests = _bouts(~series.moving, np.isfinite(series.speed))
                 measures.append(("length of rests", rests * rollouts.dt))
-            measures += _places(series, arena, rollouts.has_goal) if arena is not None else ()
+            if arena is not None:
+                measures += _places(series, arena, "searcher" in rollouts.roles)
             if rollouts.is_group:
                 own = np.nanstd(_mean(series.speed), axis=1, keepdims=True)
                 measures = [(name, _mean(values)[:, None]) for name, values in measures]
@@ -277,17 +278,17 @@ def _lead(course: Floats, farthest: int) -> Floats:
     return np.where(known, delays[best], np.nan)
 
 
-def _places(series: Series, arena: Arena, has_goal: bool) -> Iterator[tuple[str, Floats]]:
+def _places(series: Series, arena: Arena, searching: bool) -> Iterator[tuple[str, Floats]]:
     """Measures of where individuals are, and along which axis of the field they go.
 
     The anisotropy of the course is 1 where all steps run along one line, and 0 where they have no
-    axis. Without a goal, an open field has its start alone.
+    axis. An open field without a source has the start alone.
     """
     course = series.course
     axis = 2 * np.arctan2(course[..., 1], course[..., 0])
     yield "anisotropy of the course", np.hypot(_mean(np.cos(axis)), _mean(np.sin(axis)))
     yield "course along the x axis", _mean(np.cos(axis))
-    if arena.shape == "open" and not has_goal:
+    if arena.shape == "open" and not searching:
         gone = np.linalg.norm(series.position - series.position[:, :1], axis=-1)
         yield "distance from the start", _mean(gone)
         return
