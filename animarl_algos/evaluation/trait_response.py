@@ -52,11 +52,11 @@ def trait_gains(
 ) -> Floats:
     """Return factors ``(2,)`` on the traits that make simulated animals differ as recorded ones.
 
-    With an answer b and a standard deviation r of what the traits do not explain, animals that get
-    g times their traits t differ by ``sqrt(b^2 g^2 var(t) + r^2)``, which is to be that of training
-    animals. At least 1, at most ``LARGEST_GAIN``; 1 for a trait in which animals do not differ, or
-    to which the policy does not answer. ``make_world`` is of the episodes to start from; its traits
-    are those of training animals, drawn anew for each rollout.
+    With an answer b and a variance r of what the traits do not explain, animals of n episodes that
+    get g times their traits t differ by ``sqrt(b^2 g^2 var(t) + r / n)``, which is to be that of
+    training animals. At least 1, at most ``LARGEST_GAIN``; 1 for a trait in which animals do not
+    differ, or to which the policy does not answer. ``make_world`` is of the episodes to start from;
+    its traits are those of training animals, drawn anew for each rollout.
     """
     probe = make_world(1)
     components, demos = trait_components(probe), probe.demos
@@ -80,6 +80,7 @@ def trait_gains(
     answer = np.diag(np.linalg.lstsq(given, simulated, rcond=None)[0])
     given_variance, wanted = given.var(axis=0), traits.table.reshape(-1, len(TRAITS)).var(axis=0)
     unexplained = simulated.var(axis=0) - answer**2 * given_variance
+    unexplained *= len(np.unique(demos.recording)) / demos.num_episodes
     gains, answers = np.ones(len(TRAITS)), answer > MIN_RESPONSE
     needed = np.sqrt(np.maximum(wanted - unexplained, 0.0)[answers] / given_variance[answers])
     gains[answers] = np.clip(needed / answer[answers], 1.0, LARGEST_GAIN)

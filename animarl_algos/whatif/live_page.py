@@ -123,6 +123,7 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         }
         if can_remove(species)
         else None,
+        "traits": None if species.traits is None else species.traits.table.tolist(),
         "told": run.has_condition_flag,
         "locomotion": [{"damping": m.damping, "thrust": m.thrust} for m in species.locomotion],
         "pushes": [m.action_vectors.tolist() for m in species.locomotion],

@@ -32,11 +32,11 @@ from animarl_envs.species import (
     get_species,
 )
 from animarl_envs.species.options import with_options
-from animarl_envs.species.traits import MIN_TRAIT_EPISODES, Traits, fit_traits
+from animarl_envs.species.traits import Traits, fit_traits
 from animarl_envs.species.turning import Turning
 
 SMALLEST_CONTACT = 0.001  # share of the arena's size
-SIDED = 4.0  # standard errors from left and right alike
+SIDED, MIN_SIDED = 4.0, 8  # standard errors from left and right alike, of so many recordings
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 BEYOND_WALLS, MAY_BE_BEYOND = 0.03, 0.02  # sizes; share of frames that tracking errors put there
 
@@ -63,8 +63,8 @@ def species_of(
       is an artificial agent, mostly, that goes by the present;
     - the time since the start is seen where the import began every episode at a separation;
     - starts without a demonstration: in the inner half of the arena; no warm-up steps;
-    - where nobody is pursued, simulated animals differ from each other as recorded ones do
-      (``species.traits``);
+    - simulated animals differ from each other as recorded ones do (``species.traits``), unless
+      they are synthetic;
     - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with its
       heading and its odour gets odour as recorded searchers did, and traits.
 
@@ -97,7 +97,7 @@ def species_of(
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
         own["mirror_symmetric"] = not takes_sides(demos)
         own["senses_past"] = locomotion[0].thrusts > 1 or numbers.free
-        if numbers.free and not demos.synthetic:
+        if not demos.synthetic:
             own["traits"] = fitted_traits(demos)
         cutting = _cutting(demos)  # do all episodes begin at the same event?
         apart = (cutting.get("mode"), cutting.get("start")) == ("approach", "separation")
@@ -159,17 +159,20 @@ def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None
 
 
 def fitted_traits(demos: Demonstrations) -> Traits | None:
-    """Return traits of the training episodes (or all, without any); None if they are alike.
+    """Return traits of the training animals (or all, without any); None if they are alike.
 
-    Animals of a group stand for each other, so these are the traits of all of them.
+    Episodes of one recording are of the same animals. Those of a group stand for each other, so
+    these are the traits of all of them.
     """
     training = training_episodes(demos)
     positions, lengths, condition = training.positions, training.lengths, training.condition
+    animal = np.unique(training.recording, return_inverse=True)[1]
     if demos.is_group:
-        alike = demos.num_individuals
+        alike, recordings = demos.num_individuals, int(animal.max()) + 1
         positions = positions.transpose(1, 0, 2).reshape(-1, 1, 2)
         lengths, condition = np.tile(lengths, alike), np.tile(condition, alike)
-    return fit_traits(positions, lengths, demos.dt, condition)
+        animal = (animal + recordings * np.arange(alike)[:, None]).ravel()
+    return fit_traits(positions, lengths, demos.dt, condition, animal)
 
 
 def takes_sides(demos: Demonstrations) -> bool:
@@ -193,7 +196,7 @@ def takes_sides(demos: Demonstrations) -> bool:
     inside = np.ones(len(of_step), dtype=bool)
     inside[(training.offsets[1:-1, None] - [1, 2]).ravel()] = False  # into the next episode
     size = np.bincount(of_step[inside], minlength=len(names))
-    if (size > 0).sum() < MIN_TRAIT_EPISODES:
+    if (size > 0).sum() < MIN_SIDED:
         return False
     for side in (each for pair in sides for each in pair.T):
         total = np.bincount(of_step[inside], side[inside], minlength=len(names))

@@ -58,6 +58,7 @@ class ChaseSpecies(Species):
             individuals=names or tuple(self.individuals[i] for i in chosen),
             locomotion=tuple(self.locomotion[i] for i in chosen),
             turning=self.turning and tuple(self.turning[i] for i in chosen),
+            traits=self.traits and self.traits.select(chosen),
             sense_scales=self.sense_scales and self.sense_scales.select(chosen),
             **changes,
         )

@@ -305,6 +305,7 @@ const AnimaRL = (() => {
       this.position = new Float64Array(copies * K * 2);
       this.velocity = new Float64Array(copies * K * 2);
       this.push = new Float64Array(copies * K * 2); // acceleration of the last step [thrust]
+      this.traits = new Float64Array(copies * K * 2); // of each individual [sd]
       this.observation = new Float32Array(copies * K * this.n);
       this.steps = new Int32Array(copies);
       this.start = new Int32Array(copies).fill(-1);
@@ -315,8 +316,11 @@ const AnimaRL = (() => {
       options.absent.forEach((i) => (this.absent[i] = 1));
     }
 
-    /** Start copy b from a recorded start, or from given places [K][2] at rest. */
-    begin(b, start, places = null, condition = null) {
+    /**
+     * Start copy b from a recorded start, or from given places [K][2] at rest. Traits are those of
+     * training animals that random numbers choose, or of the mean animal without any.
+     */
+    begin(b, start, places = null, condition = null, random = null) {
       const K = this.K, starts = this.model.starts;
       this.steps[b] = 0;
       this.outcome[b] = TIME_OUT;
@@ -331,6 +335,13 @@ const AnimaRL = (() => {
           this.velocity[own] = places ? 0 : starts.velocity[at + 2 * i + x];
           this.push[own] = 0;
         }
+      }
+      this.traits.fill(0, 2 * b * K, 2 * (b + 1) * K);
+      const table = this.model.traits, alike = table !== null && table[0].length === 1;
+      let drawn = null;
+      for (let i = 0; i < (table !== null && random !== null ? K : 0); i++) {
+        if (i === 0 || alike) drawn = table[Math.floor(random() * table.length)];
+        this.traits.set(drawn[alike ? 0 : i], 2 * (b * K + i));
       }
       this.woken(b, start);
       this.placeAbsent(b);
@@ -606,6 +617,7 @@ const AnimaRL = (() => {
         const row = 2 * senses.memory.length + (k >> 1), at = ((b * this.scales + row) * K + i) * 2 + (k & 1);
         out[delayed + k] = Math.log(Math.fround(this.past[at] / stride + REST));
       });
+      pair(column(0, "OWN_TRAITS"), this.traits[own], this.traits[own + 1]);
       const faced = this.model.free ? 0 : 1; // how many of the others lie straight ahead by definition
       others.forEach((other, rank) => {
         const c = (name) => senses.first[rank + 1][S[name]];
@@ -870,7 +882,7 @@ const AnimaRL = (() => {
     tasks.forEach(([start], b) => {
       const [condition, told] = conditions(model, options, start);
       flags[b] = told;
-      world.begin(b, start, null, condition);
+      world.begin(b, start, null, condition, stream(~seed, ...tasks[b]));
       near[b] = distance(world, b);
     });
     let running = Array.from(tasks.keys()), waited = Date.now();

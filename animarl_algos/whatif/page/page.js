@@ -114,7 +114,7 @@
     episodes = [options(), usual].map((chosen) => {
       const world = AnimaRL.makeWorld(model, chosen, 1), policy = new AnimaRL.Policy(model, 1);
       const [state, told] = AnimaRL.conditions(model, chosen, start);
-      world.begin(0, start, places, state);
+      world.begin(0, start, places, state, AnimaRL.stream(~Number(seed.value), start, 0));
       return { world, policy, chosen, flags: Int8Array.of(told),
         draw: AnimaRL.stream(Number(seed.value), start, 0), trail: [Array.from(world.position)] };
     });

@@ -58,8 +58,10 @@ def start(mask, state):  # type: ignore[no-untyped-def]
                     position[i, x, b] = demos.position[frame, i, x]
                 elif len(fixed):
                     position[i, x, b] = fixed[i, x]
+        drawn = 0
         for i in range(K if len(state.traits) else 0):  # those of some training animal, or its own
-            drawn = next_below(random, b, len(state.traits))
+            if i == 0 or state.traits.shape[1] == 1:  # others were recorded together
+                drawn = next_below(random, b, len(state.traits))
             own = demo[b] >= 0 and state.drivers[i] == REPLAY
             for x in range(2):
                 of_another = state.traits[drawn, i % state.traits.shape[1], x]

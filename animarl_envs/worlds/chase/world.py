@@ -22,7 +22,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.locomotion import residual
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
@@ -221,5 +220,6 @@ def recorded_traits(species: ChaseSpecies, demos: Demonstrations | None) -> Floa
     if demos is None or species.traits is None:
         count = 0 if demos is None else len(demos)
         return np.zeros((count, species.num_individuals, 2))
-    own = episode_traits(demos.positions, demos.lengths, demos.dt)
-    return species.traits.scores(own, demos.condition)
+    return species.traits.of_recordings(
+        demos.positions, demos.lengths, demos.dt, demos.condition, demos.recording
+    )

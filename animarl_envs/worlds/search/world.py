@@ -21,7 +21,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
-from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table, odour_weights
 from animarl_envs.worlds.search import kernels as kernels
@@ -226,8 +225,9 @@ def _recorded_senses(
         signals = {name: np.squeeze(value) for name, value in demos.signals.items()}
         group_of[demos.split != "train"] = 1
         if species.traits is not None:
-            own = episode_traits(demos.positions, demos.lengths, demos.dt)
-            traits = species.traits.scores(own, demos.condition)[:, 0]
+            traits = species.traits.of_recordings(
+                demos.positions, demos.lengths, demos.dt, demos.condition, demos.recording
+            )[:, 0]
         if model and "plume" in signals:
             numbers = signals["plume"][demos.offsets[:-1]]
             strange = sorted(set(numbers.tolist()) - set(patterns))

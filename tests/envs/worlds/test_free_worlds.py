@@ -207,3 +207,26 @@ def test_animals_of_a_group_share_their_traits() -> None:
     walks = demos.positions[:1] + pace[:, None] * (demos.positions - demos.positions[:1])
     traits = fitted_traits(replace(demos, positions=walks, arena=Arena("open", 1.0)))
     assert traits is not None and traits.table.shape == (4 * 10, 1, 2)
+
+
+def test_animals_of_a_chase_get_the_traits_of_animals_that_were_recorded_together() -> None:
+    pytest.importorskip("scipy")
+    rng, steps = np.random.default_rng(0), 60
+    pace = np.stack([np.linspace(0.5, 1.5, 12), np.linspace(2.5, 1.5, 12)], axis=1)
+    turns = rng.normal(0.0, 0.2, (12, steps, 2)).cumsum(axis=1)
+    step = 0.01 * pace[:, None, :, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    paths = np.concatenate([np.zeros((12, 1, 2, 2)), step.cumsum(axis=1)], axis=1)
+    demos = replace(
+        group(2, 12, "open"), positions=np.concatenate(list(paths)),
+        roles=("pursuer", "target"), individuals=("male", "female"),
+        lengths=np.full(12, steps + 1), initial_velocity=step[:, 0] / DT,
+        provenance={**SYNTHETIC, "synthetic": False},
+    )  # fmt: skip
+    species = make_scenario("custom", demos=demos, split=None).species
+    assert species.traits is not None and species.traits.table.shape == (10, 2, 2)
+    world = begun(make_scenario(species, demos=demos, split="test"), 200)
+    at = [one.name for one in observation_components(species)].index("own speed")
+    given, table = world.observation[:, :, at], species.traits.table[..., 0].astype(np.float32)
+    assert {tuple(pair) for pair in given.tolist()} == {tuple(pair) for pair in table.tolist()}
+    one = species.of_individuals([1, 0]).traits
+    assert one is not None and np.array_equal(one.table, species.traits.table[:, ::-1])

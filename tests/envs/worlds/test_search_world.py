@@ -213,24 +213,42 @@ def test_traits_of_a_circle_are_its_speed_and_its_turning() -> None:
 def test_animals_that_differ_are_found_and_equal_ones_are_not() -> None:
     pytest.importorskip("scipy")
     differing = np.random.default_rng(0).uniform(0.5, 1.5, 20)
-    none = np.zeros(20, dtype=int)
-    found = fit_traits(*walks(differing), DT, none)
+    none, each = np.zeros(20, dtype=int), np.arange(20)
+    found = fit_traits(*walks(differing), DT, none, each)
     assert found is not None
     assert np.corrcoef(found.table[:, 0, 0], differing)[0, 1] > 0.98
     assert found.table[:, 0, 0].std() == pytest.approx(1.0, abs=1e-6)
     assert not found.table[:, 0, 1].any()  # all turn alike
-    assert found == fit_traits(*walks(differing), DT, none)
-    assert found != fit_traits(*walks(differing[::-1]), DT, none) and found != "traits"
-    assert fit_traits(*walks(np.ones(20)), DT, none) is None
-    assert fit_traits(*walks(differing[:7]), DT, none[:7]) is None  # so few cannot say
+    assert found == fit_traits(*walks(differing), DT, none, each)
+    assert found != fit_traits(*walks(differing[::-1]), DT, none, each) and found != "traits"
+    assert fit_traits(*walks(np.ones(20)), DT, none, each) is None
+    assert fit_traits(*walks(differing[:5]), DT, none[:5], each[:5]) is None  # so few cannot say
+
+
+def test_all_episodes_of_an_animal_say_what_it_is_like() -> None:
+    pytest.importorskip("scipy")
+    speeds, none = np.random.default_rng(0).uniform(0.5, 1.5, 24), np.zeros(24, dtype=int)
+    animal = np.arange(24) // 4
+    positions, lengths = walks(speeds)
+    assert fit_traits(positions, lengths, DT, none, animal) is None  # episodes differ, not animals
+    positions, lengths = walks(np.sort(speeds))
+    found = fit_traits(positions, lengths, DT, none, animal)
+    assert found is not None and found.table.shape == (6, 1, 2)
+    mean = np.sort(speeds).reshape(6, 4).mean(axis=1)
+    assert np.corrcoef(found.table[:, 0, 0], mean)[0, 1] > 0.99
+    cut = lengths.copy()
+    cut[::4] = 5  # too short for quarters: left out, the others are enough
+    kept = np.concatenate([walk[:n] for walk, n in zip(np.split(positions, 24), cut, strict=True)])
+    again = fit_traits(kept, cut, DT, none, animal)
+    assert again is not None and again.table.shape == (6, 1, 2)
 
 
 def test_what_a_condition_does_is_no_trait() -> None:
     pytest.importorskip("scipy")
     condition = np.arange(20) % 2
-    assert fit_traits(*walks(1.0 + condition), DT, condition) is None
+    assert fit_traits(*walks(1.0 + condition), DT, condition, np.arange(20)) is None
     own = np.random.default_rng(0).uniform(0.5, 1.5, 20)
-    found = fit_traits(*walks(own + condition), DT, condition)
+    found = fit_traits(*walks(own + condition), DT, condition, np.arange(20))
     assert found is not None
     for one in (0, 1):
         assert found.table[condition == one, 0, 0].mean() == pytest.approx(0.0, abs=1e-9)
@@ -255,6 +273,7 @@ def test_a_simulated_searcher_keeps_the_traits_of_a_training_animal() -> None:
 
 def test_recordings_are_told_their_own_traits_and_starts_from_them_others() -> None:
     demos = load_packaged("silkmoth").select(split="train")
+    demos = replace(demos, recording=np.array([str(i) for i in range(len(demos))]))
     values = episode_traits(demos.positions, demos.lengths, demos.dt)
     traits = Traits(np.stack([values.mean(0)] * 2), values.std(0), TABLE)
     species = replace(SILKMOTH, traits=traits)
@@ -288,7 +307,12 @@ def test_own_recordings_get_traits_and_synthetic_ones_do_not() -> None:
     assert species_of(demos).traits is None
     heading = np.zeros(len(demos.positions))
     own = {**demos.provenance, "synthetic": False}
-    recorded = replace(demos, signals={**demos.signals, "heading": heading}, provenance=own)
+    recorded = replace(
+        demos,
+        signals={**demos.signals, "heading": heading},
+        provenance=own,
+        recording=np.arange(len(demos)).astype(str),  # each of a moth of its own
+    )
     found = species_of(recorded).traits
     assert found is not None and len(found.table) == (demos.split == "train").sum()
     assert species_of(recorded).observation == "full"
