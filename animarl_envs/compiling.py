@@ -1,9 +1,10 @@
 """Compile kernels, and keep their machine code under a key of all their sources.
 
-Kernels inline each other across modules, but numba keeps the code of each under the date of its own
-file alone. So it is kept in a folder that is named after a hash of every source a kernel may hold a
-part of: an edit of the transition, or another numba, has all that use it compiled anew. Folders of
-old sources stay behind, beside Python's own ``__pycache__`` files, and may be deleted at any time.
+Kernels inline each other across modules, but numba keeps the code of each under the path and the
+date of its own file alone. So it is kept in a folder that is named after a hash of every source a
+kernel may hold a part of: an edit of the transition, or another numba, has all that use it compiled
+anew, and a copy of the package at another path does not. Folders of old sources stay behind, beside
+Python's own ``__pycache__`` files, and may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numba as nb
 from numba.core import event
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
@@ -92,9 +93,12 @@ def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """
     if function is None:
         return functools.partial(jit, **options)
-    with _cache_folder(function.__module__.partition(".")[0]):
-        usual: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-        return nb.njit(**usual | options)(function)
+    kept = options.pop("cache", True)
+    usual: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+    made = nb.njit(**usual | options)(function)
+    if kept and not _SETTINGS.DISABLE_JIT:
+        made._cache = KernelCache(function)  # type: ignore[no-untyped-call]
+    return made
 
 
 def inline_kernel(function: Callable[..., Any]) -> Any:
@@ -176,15 +180,42 @@ class InlineDispatcher(CPUDispatcher):  # type: ignore[misc]
         )
 
 
-@contextmanager
-def _cache_folder(package: str) -> Iterator[None]:
-    """Set the folder in which numba keeps the kernel that is decorated meanwhile."""
-    of_user = _SETTINGS.CACHE_DIR
-    _SETTINGS.CACHE_DIR = str(_folder(package, of_user))
-    try:
-        yield
-    finally:
-        _SETTINGS.CACHE_DIR = of_user
+class SourceLocator(_CacheLocator):  # type: ignore[misc]
+    """Where a kernel's machine code is kept: by its module and the hash of all sources."""
+
+    def __init__(self, kernel: Callable[..., Any]) -> None:
+        self._kernel = kernel
+        package = kernel.__module__.partition(".")[0]
+        self._path = _folder(package, _SETTINGS.CACHE_DIR) / kernel.__module__
+
+    def get_cache_path(self) -> str:
+        """Return the folder of the kernel's files."""
+        return str(self._path)
+
+    def get_source_stamp(self) -> str:
+        """Return nothing: the folder's name stands for the sources."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """Return the line of the kernel, which tells it from others of its name."""
+        return str(self._kernel.__code__.co_firstlineno)
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> SourceLocator:
+        """Return the locator of a kernel, which does not look at the path of its file."""
+        return cls(py_func)
+
+
+class KernelCacheParts(CompileResultCacheImpl):  # type: ignore[misc]
+    """What numba keeps of a kernel, with this package's locator in place of numba's."""
+
+    _locator_classes: ClassVar[list[Any]] = [SourceLocator]
+
+
+class KernelCache(FunctionCache):  # type: ignore[misc]
+    """The machine code of a kernel on disk."""
+
+    _impl_class = KernelCacheParts
 
 
 @functools.cache

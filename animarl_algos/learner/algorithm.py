@@ -73,6 +73,7 @@ from animarl_algos.learner.settings import (
     policy_name,
     take_settings,
     translate_policy_kwargs,
+    translate_sb3_arguments,
 )
 from animarl_algos.learner.transitions import Step, store_step
 from animarl_algos.learner.updates import (
@@ -127,8 +128,14 @@ class SequenceQLearning(OffPolicyAlgorithm):
     settings
         All settings at once (:class:`.settings.LearnerSettings`); nothing is then taken from
         presets.
-    seed, device, verbose, tensorboard_log
+    sb3_order
+        Settings without a name, in stable-baselines3's order: ``buffer_size``, ``learning_starts``,
+        ``batch_size``, ``tau``, ``gamma``, ``train_freq``, ``gradient_steps``.
+    seed, verbose, tensorboard_log
         As in stable-baselines3.
+    device
+        As in stable-baselines3, but ``"auto"`` is the processor: updates of such small networks
+        took longer on the GPUs that were measured.
     given
         Single settings, by name. Those that are not given are preset ``default``'s in
         ``zoo_configs``, as on the command line: of the species of ``env`` where it is one of the
@@ -177,7 +184,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         policy: str | type[GruPolicy] | None = None,
         env: GymEnv | str | None = None,
         learning_rate: float | Schedule | None = None,
-        *,
+        *sb3_order: Any,
         demonstrations: Any = None,
         settings: LearnerSettings | None = None,
         tensorboard_log: str | None = None,
@@ -194,6 +201,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         named = {"policy": policy_name(policy), "learning_rate": learning_rate}
         named["offline_epochs"] = given.pop("offline_epochs", None)
         given |= {name: value for name, value in named.items() if value is not None}
+        given = translate_sb3_arguments(sb3_order, given)
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
         if settings is None:
@@ -214,7 +222,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
                 tensorboard_log=tensorboard_log,
                 verbose=verbose,
                 seed=seed,
-                device=device,
+                device="cpu" if device == "auto" else device,
                 _init_setup_model=False,
             )  # type: ignore[call-arg]
         except AssertionError as error:
@@ -362,9 +370,15 @@ class SequenceQLearning(OffPolicyAlgorithm):
 
     # -- act --------------------------------------------------------------------------------------
 
-    def predict(self, *observation: Any, **memory: Any) -> tuple[NDArray[Any], State]:  # type: ignore[override]
+    def predict(  # type: ignore[override]
+        self,
+        observation: NDArray[Any] | dict[str, NDArray[Any]],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[Any], State]:
         """Return actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
-        return self.policy.predict(*observation, **memory)
+        return self.policy.predict(observation, state, episode_start, deterministic)
 
     def remember(self, state: State, executed: NDArray[np.integer]) -> State:
         """Do as :meth:`GruPolicy.remember`."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field
@@ -469,6 +469,45 @@ SB3_NAMES_WITH_FIXED_VALUE = {
     "features_extractor_kwargs": (None, "flattening takes none, so leave it out"),
 }
 """Names of stable-baselines3 that may say what the networks do anyway, and why nothing else."""
+
+
+SB3_ORDER = (
+    *("buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq"),
+    "gradient_steps",
+)
+"""Settings that stable-baselines3 takes without their names, after the learning rate."""
+SB3_FIXED_ARGUMENTS = {
+    "optimize_memory_usage": (False, "episodes are stored once, without their next observations"),
+    "replay_buffer_class": (
+        None,
+        "the replay memory is one of sequences, see replay_buffer_kwargs",
+    ),
+    "monitor_wrapper": (True, "episodes are always monitored"),
+}
+
+
+def translate_sb3_arguments(unnamed: Sequence[Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings by name, without arguments of stable-baselines3 that ask for the usual.
+
+    ``unnamed`` are in stable-baselines3's order (:data:`SB3_ORDER`).
+
+    Raises InputError if there are too many, one is given twice, or one cannot be what is asked for.
+    """
+    named = dict(zip(SB3_ORDER, unnamed))
+    if len(unnamed) > len(SB3_ORDER):
+        raise InputError(
+            f"{len(unnamed)} settings have no name: only {', '.join(SB3_ORDER)} may follow the "
+            "learning rate without one"
+        )
+    if twice := sorted(named.keys() & given.keys()):
+        raise InputError(f"setting {twice[0]!r} is given twice: by its place and by its name")
+    settings = named | dict(given)
+    for name, (usual, why) in SB3_FIXED_ARGUMENTS.items():
+        if settings.get(name, usual) == usual:
+            settings.pop(name, None)
+        else:
+            raise InputError(f"{name} is {settings[name]!r}: {why}; leave it out")
+    return settings
 
 
 def translate_policy_kwargs(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:

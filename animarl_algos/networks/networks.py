@@ -294,18 +294,22 @@ class StackedQNetwork(nn.Module):
     def forward(
         self,
         observations: torch.Tensor,
-        previous_actions: torch.Tensor,
+        previous_actions: torch.Tensor | None = None,
         state: torch.Tensor | None = None,
         packing: Packing | None = None,
         masks: torch.Tensor | None = None,
-    ) -> QOutput:
+    ) -> QOutput | torch.Tensor:
         """Run whole sequences: observations ``(K, T, B, n)``, previous actions ``(K, T, B)`` int64.
 
         A previous action is the one taken before each observation, ``num_actions`` for none.
         ``state`` ``(K, B, H)`` is that before the first step, by default zeros; ``packing`` says
         which rows to compute, by default all; ``masks`` ``(layers, K, B, H)`` are factors of hidden
-        units, for training (:class:`.layers.DropoutDraws`).
+        units, for training (:class:`.layers.DropoutDraws`). Without previous actions, observations
+        ``(S, n)`` of all slots give expected values ``(S, actions)`` at the start of an episode,
+        as the networks of stable-baselines3 do.
         """
+        if previous_actions is None:
+            return self._first_values(observations)
         _, time, batch, _ = observations.shape
         if packing is None:
             packing = Packing.full(time, batch, observations.device)
@@ -328,6 +332,13 @@ class StackedQNetwork(nn.Module):
             logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
         head = (units, *self.dueling.combined())
         return QOutput(features, state, packing, self.recurrent, self.num_actions, logits, head)
+
+    def _first_values(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return expected values (S, actions) of observations (S, n) at the start of episodes."""
+        individuals, size = self.input_mean.shape[0], self.input_mean.shape[2]
+        stacked = observations.reshape(-1, individuals, 1, size).permute(1, 2, 0, 3)
+        none = torch.full(stacked.shape[:3], self.num_actions, device=stacked.device)
+        return self(stacked.float(), none).q_values[:, 0].transpose(0, 1).flatten(0, 1)
 
     @cached_property
     def weights(self) -> WeightViews:

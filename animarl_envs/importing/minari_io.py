@@ -10,6 +10,7 @@ recording, roles, arena and provenance (licence included) as metadata.
 import json
 import tempfile
 from collections.abc import Iterable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,8 @@ def export_minari(demos: Demonstrations, folder: str | Path, dataset_id: str | N
     """Write a dataset into ``folder/data``; the folder must not exist yet.
 
     With ``MINARI_DATASETS_PATH`` set to the folder's parent, ``minari.load_dataset(folder.name)``
-    finds it. ``dataset_id`` is by default the folder's name.
+    finds it, and its ``recover_environment`` makes the animals' world, in which one individual
+    acts. ``dataset_id`` is by default the folder's name.
     """
     with require_extra("Minari datasets", "data"):
         import gymnasium as gym
@@ -57,7 +59,7 @@ def export_minari(demos: Demonstrations, folder: str | Path, dataset_id: str | N
             action_space=gym.spaces.Dict(
                 {name: gym.spaces.Discrete(NUM_ACTIONS) for name in demos.individuals}
             ),
-            env_spec=None,
+            env_spec=_environment(demos, folder),
             data_format="hdf5",
         )
         kind = "synthetic" if demos.synthetic else "recorded"
@@ -77,6 +79,19 @@ def export_minari(demos: Demonstrations, folder: str | Path, dataset_id: str | N
         )
         data.parent.rename(folder)
     return folder
+
+
+def _environment(demos: Demonstrations, folder: Path) -> Any:
+    """Return Gymnasium's spec of the animals' world, for Minari's ``recover_environment``.
+
+    Animals of one's own start from the dataset, so that it has to stay in its ``folder``.
+    """
+    import gymnasium as gym
+
+    spec = deepcopy(gym.spec(f"AnimaRL/{demos.species.capitalize()}-v0"))
+    if demos.species == "custom":
+        spec.kwargs |= {"demos": str(folder), "split": None}
+    return spec
 
 
 def export_packaged(root: str | Path) -> list[str]:

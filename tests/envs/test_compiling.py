@@ -64,6 +64,16 @@ def test_an_edit_of_an_inlined_kernel_or_a_constant_is_compiled_anew(copied: Pat
     assert run_kernel(copied)[:2] == (21.5, 0)
 
 
+def test_a_copy_of_the_package_elsewhere_uses_the_kernels_that_were_copied_with_it(
+    copied: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    assert run_kernel(copied)[:2] == (13.5, 0)
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "other"
+    shutil.copytree(copied, elsewhere, copy_function=shutil.copyfile)  # dates are new
+    shutil.rmtree(copied)
+    assert run_kernel(elsewhere)[:2] == (13.5, 1)
+
+
 def test_what_kernels_take_from_modules_without_kernels_is_in_the_key() -> None:
     root = ROOT / "animarl_envs"
     found = {str(path.relative_to(root)) for path in _kernel_sources({"animarl_envs": root})}

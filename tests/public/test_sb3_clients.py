@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import stable_baselines3
+import torch
 import toys
 from pair_learners import SETTINGS
 from refusals import refuses
@@ -66,6 +67,27 @@ def test_clients_list_layers() -> None:
 )
 def test_clients_are_told_which_layers_there_are_not(table: dict[str, Any], words: str) -> None:
     refuses(words, learner, policy_kwargs=table)
+
+
+def test_clients_give_settings_by_their_place() -> None:
+    model = DQN("MlpPolicy", gym.make(CARTPOLE), 1e-3, 5_000, 10, 16, 1.0, 0.9)
+    assert (model.buffer_size, model.batch_size, model.gamma) == (5_000, 16, 0.9)
+    assert model.device.type == "cpu"  # "auto", even where there is a GPU
+    assert learner(optimize_memory_usage=False, replay_buffer_class=None).replay_buffer is not None
+    refuses("optimize_memory_usage is True: .*leave it out", learner, optimize_memory_usage=True)
+    refuses("'buffer_size' is given twice", DQN, "MlpPolicy", CARTPOLE, 1e-3, 10, buffer_size=9)
+    refuses("9 settings have no name", DQN, "MlpPolicy", CARTPOLE, 1e-3, *range(9))
+
+
+@pytest.mark.parametrize("kind", [DQN, QRDQN])
+@pytest.mark.parametrize("policy", ["MlpPolicy", "GruPolicy"])
+def test_clients_call_the_network_with_observations(kind: Any, policy: str) -> None:
+    model = kind(policy, toys.Pair(2), **SETTINGS | {"device": "cpu"})
+    seen = np.random.default_rng(0).normal(size=(4, 4)).astype(np.float32)
+    values = model.q_net(torch.from_numpy(seen))
+    assert values.requires_grad
+    expected = model.policy.advance(seen, None, None)[0]
+    np.testing.assert_allclose(values.detach().numpy(), expected, atol=1e-5)
 
 
 def test_clients_find_networks_and_memory_under_their_names() -> None:

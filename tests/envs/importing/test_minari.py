@@ -2,6 +2,7 @@
 
 import json
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,19 @@ def test_minari_finds_all_packaged_sets_under_stable_ids(
     newt, demos = minari.load_dataset("animarl/newt/demonstrations-v0"), load_packaged("newt")
     assert newt.total_episodes == len(demos)
     assert demos.provenance["licence"] in newt.storage.metadata["description"]
+    assert newt.recover_environment().spec.id == "AnimaRL/Newt-v0"
     refuses("exists already", export_packaged, tmp_path)
+
+
+def test_the_environment_of_animals_of_ones_own_starts_from_the_dataset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    demos = replace(demonstrations(actions=True), species="custom")
+    export_minari(demos, tmp_path / "set-v0")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    env = minari.load_dataset("set-v0").recover_environment().unwrapped
+    assert env.scenario.names == demos.individuals
+    np.testing.assert_array_equal(env.scenario.demos.positions, demos.positions)
 
 
 def test_minari_refuses_what_it_cannot_do(tmp_path: Path) -> None:
