@@ -72,7 +72,6 @@ from animarl_algos.learner.settings import (
     document_parameters,
     policy_name,
     take_settings,
-    translate_policy_kwargs,
     translate_sb3_arguments,
 )
 from animarl_algos.learner.transitions import Step, store_step
@@ -120,22 +119,18 @@ class SequenceQLearning(OffPolicyAlgorithm):
         ``gym.make(id)``, in which one individual acts; ``"newt"`` is short for
         ``"AnimaRL/Newt-v0"``. A VecEnv with the attributes ``individuals`` and ``num_copies``, such
         as ``SlotVecEnv("newt")``, trains all individuals.
-    learning_rate
-        Of Adam, a number or a schedule of the remaining progress.
+    learning_rate, sb3_order
+        Of Adam, a number or a schedule of the remaining progress. More settings may follow without
+        their names, in stable-baselines3's order (``settings.SB3_ORDER``).
     demonstrations
         :class:`~animarl_envs.demos.demonstrations.Demonstrations`, or an object with ``train``
         and ``val`` datasets; by default the environment's own, if it has any.
     settings
-        All settings at once (:class:`.settings.LearnerSettings`); nothing is then taken from
-        presets.
-    sb3_order
-        Settings without a name, in stable-baselines3's order: ``buffer_size``, ``learning_starts``,
-        ``batch_size``, ``tau``, ``gamma``, ``train_freq``, ``gradient_steps``.
+        All settings at once (:class:`.settings.LearnerSettings`), without presets.
     seed, verbose, tensorboard_log
         As in stable-baselines3.
     device
-        As in stable-baselines3, but ``"auto"`` is the processor: updates of such small networks
-        took longer on the GPUs that were measured.
+        ``"auto"`` is the processor, on which updates took less time than on the GPUs measured.
     given
         Single settings, by name. Those that are not given are preset ``default``'s in
         ``zoo_configs``, as on the command line: of the species of ``env`` where it is one of the
@@ -198,12 +193,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
             raise InputError("there is no environment to learn in: give env=")
         if isinstance(env, str):
             env, demonstrations = make_environment(env, demonstrations)
-        named = {"policy": policy_name(policy), "learning_rate": learning_rate}
-        named["offline_epochs"] = given.pop("offline_epochs", None)
-        given |= {name: value for name, value in named.items() if value is not None}
+        given |= {"policy": policy_name(policy), "learning_rate": learning_rate}
         given = translate_sb3_arguments(sb3_order, given)
-        if isinstance(own := given.get("policy_kwargs"), dict):
-            given["policy_kwargs"] = translate_policy_kwargs(own)
         if settings is None:
             settings = resolve_settings(self.preset, self.pretrained_preset, env, given)
         elif given:
@@ -300,12 +291,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
 
     def _make_replay_buffer(self) -> SequenceReplayBuffer:
         assert self.episode_limit is not None
-        # One that never acts keeps nothing: of many animals the memory would be huge.
-        rows = self.buffer_size
-        if not self.recipe.online:
-            rows = min(rows, self.episode_limit + 1)
+        # One that never acts keeps nothing: the memory of many animals would be huge.
+        rows = self.buffer_size if self.recipe.online else self.episode_limit + 1
         return SequenceReplayBuffer(
-            rows,
+            min(rows, self.buffer_size),
             self.observation_size,
             self.layout.num_individuals,
             self.policy.num_actions,
@@ -658,10 +647,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         buffer, policy, terms = self._require_buffer(), self.policy, self.recipe.online
         self._update_learning_rate(policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
-        phase, needs_target = (
-            self.settings.phase("online"),
-            any(term.needs_target for term in terms),
-        )
+        phase = self.settings.phase("online")
+        needs_target = any(term.needs_target for term in terms)
         for _ in range(gradient_steps):
             batch = buffer.sample(batch_size, progress)
             minibatch = minibatch_values(policy, batch, phase, needs_target=needs_target)
@@ -726,8 +713,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         The file holds pickles, which can run code: load only your own.
 
         Raises InputError if another class saved it, ``env`` has other individuals or shows other
-        things, or a setting given anew is unknown, out of its range, or does not go with the
-        others.
+        things, or settings given anew are not valid.
         """
         given = {name: value for name, value in keywords.items() if name not in LOAD_ARGUMENTS}
         keywords |= check_settings(given)

@@ -476,6 +476,8 @@ SB3_ORDER = (
     "gradient_steps",
 )
 """Settings that stable-baselines3 takes without their names, after the learning rate."""
+UNSET_IS_NONE = ("policy", "learning_rate", "offline_epochs")
+"""Settings whose value None stands for the preset's."""
 SB3_FIXED_ARGUMENTS = {
     "optimize_memory_usage": (False, "episodes are stored once, without their next observations"),
     "replay_buffer_class": (
@@ -502,6 +504,11 @@ def translate_sb3_arguments(unnamed: Sequence[Any], given: Mapping[str, Any]) ->
     if twice := sorted(named.keys() & given.keys()):
         raise InputError(f"setting {twice[0]!r} is given twice: by its place and by its name")
     settings = named | dict(given)
+    for name in UNSET_IS_NONE:
+        if settings.get(name, ...) is None:
+            del settings[name]
+    if isinstance(table := settings.get("policy_kwargs"), dict):
+        settings["policy_kwargs"] = translate_policy_kwargs(table)
     for name, (usual, why) in SB3_FIXED_ARGUMENTS.items():
         if settings.get(name, usual) == usual:
             settings.pop(name, None)
