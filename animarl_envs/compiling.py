@@ -209,7 +209,7 @@ class SourceLocator(_CacheLocator):  # type: ignore[misc]
 class KernelCacheParts(CompileResultCacheImpl):  # type: ignore[misc]
     """What numba keeps of a kernel, with this package's locator in place of numba's."""
 
-    _locator_classes: ClassVar[list[Any]] = [SourceLocator]
+    _locator_classes: ClassVar[list[Any]] = [SourceLocator]  # type: ignore[misc]
 
 
 class KernelCache(FunctionCache):  # type: ignore[misc]

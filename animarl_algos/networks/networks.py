@@ -338,7 +338,8 @@ class StackedQNetwork(nn.Module):
         individuals, size = self.input_mean.shape[0], self.input_mean.shape[2]
         stacked = observations.reshape(-1, individuals, 1, size).permute(1, 2, 0, 3)
         none = torch.full(stacked.shape[:3], self.num_actions, device=stacked.device)
-        return self(stacked.float(), none).q_values[:, 0].transpose(0, 1).flatten(0, 1)
+        values: torch.Tensor = self(stacked.float(), none).q_values[:, 0]
+        return values.transpose(0, 1).flatten(0, 1)
 
     @cached_property
     def weights(self) -> WeightViews:
