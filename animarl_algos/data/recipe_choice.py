@@ -3,8 +3,9 @@
 A recipe is a section of ``zoo_configs/cloning.yml``: labels, size of the networks, whether they are
 shared, dropout, updates. Two things decide. First how exact the demonstrated actions are: how far
 the best of them misses the next recorded position under the fitted locomotion, in units of the way
-that one thrust moves the animal in a step. Programs act exactly, animals do not. Then how many
-steps there are to learn from.
+that one thrust moves the animal in a step. Programs act exactly, animals do not. Recorded animals
+get a recurrent clone. For groups and synthetic animals, with which it gained nothing, the number of
+steps to learn from decides.
 """
 
 from functools import lru_cache
@@ -31,9 +32,12 @@ or with little."""
 SEEN_SELDOM = 200_000
 """Steps of a recorded individual of which each is seen fewer than six times in 30 epochs."""
 EXACTLY, FEW, ALMOST = "exact", "exact-few", "nearly-exact"
-SEARCH, REMEMBERED = "search", "search-remembered"
+RECURRENT, SEARCH, REMEMBERED = "recurrent", "search", "search-remembered"
 RECORDED, FEW_RECORDED, MANY_RECORDED = "recorded", "recorded-few", "recorded-many"
-CLONINGS = (EXACTLY, FEW, ALMOST, RECORDED, FEW_RECORDED, MANY_RECORDED, SEARCH, REMEMBERED)
+CLONINGS = (
+    *(EXACTLY, FEW, ALMOST, RECURRENT, RECORDED, FEW_RECORDED, MANY_RECORDED),
+    *(SEARCH, REMEMBERED),
+)
 """Their names."""
 
 
@@ -56,6 +60,8 @@ def choose_recipe(demos: Demonstrations) -> RecipeChoice:
     reason = f"actions miss by {miss:.2g} thrusts, {steps} steps of each individual"
     if miss >= NEARLY:
         reason += f": not exact (from {NEARLY:g})"
+        if not (demos.synthetic or demos.is_group):
+            return RecipeChoice(RECURRENT, f"{reason}, and animals go by what they just did")
         if steps < FEW_STEPS:
             return RecipeChoice(FEW_RECORDED, f"{reason}, few (below {FEW_STEPS})")
         if steps < SEEN_SELDOM:

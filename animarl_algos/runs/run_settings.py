@@ -75,8 +75,9 @@ class RunSettings(PipelineSettings):
     device: str = "cpu"
     """cpu (default) or cuda."""
     cloning: str = CHOSEN
-    """Recipe of the clone: exact, exact-few, nearly-exact, recorded, recorded-few, recorded-many,
-    search, search-remembered, or chosen (by the demonstrations; zoo_configs/cloning.yml)."""
+    """Recipe of the clone: exact, exact-few, nearly-exact, recurrent, recorded, recorded-few,
+    recorded-many, search, search-remembered, or chosen (by the demonstrations;
+    zoo_configs/cloning.yml)."""
     repetitions: Copies = 5
     """Rollouts per test demonstration."""
     baselines: bool = True

@@ -252,7 +252,10 @@ def test_a_strangers_agents_get_the_recipe_that_is_chosen_for_agents() -> None:
     found = choose_recipe(few)
     assert found.name == "exact-few" and action_miss(few)[1] < FEW_EXACT
     assert f"few (below {FEW_EXACT})" in found.reason
-    assert choose_recipe(shaken(few, 0.02)).name == "recorded-few"
+    noisy = shaken(few, 0.02)
+    assert choose_recipe(noisy).name == "recorded-few"  # synthetic ones need no memory
+    found = choose_recipe(replace(noisy, provenance={**noisy.provenance, "synthetic": False}))
+    assert found.name == "recurrent" and "animals go by what they just did" in found.reason
 
 
 def test_steps_of_recorded_animals_decide_on_dropout_and_epochs(
@@ -309,4 +312,4 @@ def test_a_recipe_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="cloning is 'exactly': choose among chosen, exact, exac"):
         RunSettings(species="fly", steps=1, cloning="exactly")
     listed = describe_fields(RunSettings)["cloning"]
-    assert len(set(CLONINGS)) == 8 and all(f" {name}," in listed for name in CLONINGS)
+    assert len(set(CLONINGS)) == 9 and all(f" {name}," in listed for name in CLONINGS)
