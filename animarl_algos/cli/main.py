@@ -100,6 +100,7 @@ COMMANDS = {
     "simulate": Place("simulate", "simulate_command"),
     "compile": Place("main", "compile_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
+    "paper": Place("paper", "paper_command"),
 }
 """By name, in the order of the help."""
 

@@ -1,79 +1,22 @@
-"""Small parts of the benchmark scripts: figure 4, scale, floors, the first hour, true programs."""
+"""Small parts of the benchmark scripts: scale, floors, the first hour, true programs."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-import typer
 from commands import animarl
-from moving_pairs import STARTS, recorded_pairs, simulated_pairs
-from scipy import stats
+from moving_pairs import STARTS, recorded_pairs
 
 from animarl_algos.benchmark.matrix import plan, read_matrix
-from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import DIFFERS
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.words import Words
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import COAST
-from benchmarks import figure4, scale
-from benchmarks.figure4 import kde_distance
+from benchmarks import scale
 from benchmarks.split_floor import split_rows
 from benchmarks.true_programs import Courtship, bars_met, judged, rolled_out
-
-
-def test_what_stands_still_is_farther_from_the_recordings_than_what_repeats_them(
-    tmp_path: Path,
-) -> None:
-    demos = recorded_pairs()
-    both = {"bc": "still", "dqdil": "true"}
-    made = [replace(simulated_pairs(demos, kind), method=name) for name, kind in both.items()]
-    metrics = pd.concat([measure_recordings(demos), *(measure(one, demos) for one in made)])
-    far, near = figure4.table_of("agent", metrics)
-    assert (far["method"], near["method"]) == ("bc", "dqdil")
-    values = [float(row[figure4.KDE_PATH].split()[0]) for row in (far, near)]
-    assert values[0] > 1.5 > 0.5 > values[1]
-    assert far[figure4.LESS_THAN_BC] == ""
-    assert near[f"{figure4.KDE_DURATION}: paper"] == "0.811 [0.687, 0.935]"
-    panels = figure4.draw({"agent": metrics}).axes
-    assert [panel.get_ylabel() for panel in panels] == [Words().axis(m) for m in figure4.SHOWN]
-    unfinished = plan(read_matrix("paper").changed(species=("agent",), seeds=(0,))).cells[:1]
-    with pytest.raises(typer.BadParameter, match=r"agent/dqn/0 is not finished: run 'animarl"):
-        figure4.measured(unfinished, tmp_path)
-
-
-def textbook_kde_distance(first: np.ndarray, second: np.ndarray) -> float:
-    grid = np.linspace(-30, 30, 20_001)
-    densities = [stats.gaussian_kde(sample)(grid) for sample in (first, second)]
-    return float(np.trapezoid(np.abs(densities[0] - densities[1]), grid))
-
-
-def test_kde_distance_equals_scipys_densities_integrated() -> None:
-    rng = np.random.default_rng(11)
-    for shift in (0.0, 0.7, 3.0):
-        first, second = rng.normal(size=25), rng.gamma(2.0, size=60) + shift
-        assert kde_distance(first, second) == pytest.approx(
-            textbook_kde_distance(first, second), abs=2e-3
-        )
-    few, some = np.array([0.0, 1.0]), np.array([2.0, 2.7, 4.0])
-    assert kde_distance(few, some) == pytest.approx(textbook_kde_distance(few, some), abs=2e-3)
-    # Without variance: every episode timed out, here and there.
-    for one, other, expected in (([14.8] * 5, [14.8] * 9, 0.0), ([14.8], [3.0], 2.0)):
-        assert kde_distance(np.array(one), np.array(other)) == pytest.approx(expected, abs=1e-3)
-    assert 1.7 < kde_distance(np.full(50, 14.8), rng.uniform(0, 14.8, 50)) < 2.0
-
-
-def test_the_bootstrap_surrounds_a_large_distance() -> None:
-    rng = np.random.default_rng(17)
-    demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
-    truth = pd.DataFrame({"demo": np.arange(30), "x": rng.normal(size=30)})
-    drawn = truth["x"].to_numpy()[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
-    rows = pd.DataFrame({"seed": seed, "demo": demo, "x": drawn})
-    found = figure4.kde_interval(rows, truth, "x")
-    assert found.low < found.estimate < found.high < 2.0
 
 
 def test_every_learner_has_two_sizes_in_whole_rounds() -> None:

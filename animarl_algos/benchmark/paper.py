@@ -1,0 +1,294 @@
+"""The paper made anew: its learners, seeds and worlds as cells of the benchmark, and their records.
+
+Cells are trained by the machinery of the benchmark. What the tables and figures need of a finished
+cell is kept in a record of some kilobytes, from which alone the page is made. Records that are
+committed stand for cells that are not in a folder of results.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from animarl_algos.benchmark.matrix import Matrix, Plan, plan
+from animarl_algos.benchmark.pieces import Cell
+from animarl_algos.benchmark.scores import REALISM, score
+from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, measure
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.run import Run
+from animarl_envs.array_types import Floats, Ints
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import read_npz, write_then_rename
+from animarl_envs.species import get_species, species_name
+
+SPECIES = ("agent", "fly", "newt", "silkmoth")
+LEARNERS = ("dqn", "bc", "dqaas", "dqdil-pt", "dqdil", "dqcil-pt", "dqcil")
+COUNTERFACTUAL = ("dqdil-pt", "dqcil-pt", "dqdil", "dqcil")
+ADAPTING = ("dqdil-pt", "dqcil-pt", "dqaas")
+ADAPTED_STEPS = (0, 5_000, 20_000, 100_000)
+PAPER_STEPS = 1_005_000
+ONSET, JOINT, ADAPTED = "onset", "joint", "adapted"
+SETTINGS = (ONSET, JOINT, ADAPTED)
+"""The paper's world (its onset rule fits the locomotion), the world of the joint fit, and clones of
+the default preset that adapt online."""
+QUICK: dict[str, Any] = {
+    "steps": 400,
+    "repetitions": 2,
+    "episodes": {"train": 12, "val": 4, "test": 8},
+}
+QUICK_CLONE = {"offline_epochs": 1, "offline_kwargs": {"updates_per_epoch": 10, "warm_up": 2}}
+RECORD_VERSION = 1
+COLUMNS = {"demo": np.int16, "repetition": np.int16, "condition": np.int8, "cue": np.int8}
+VALUES = ("captured", DURATION.key, PATH_LENGTH.key, DTW.key)
+SPEED_BINS = 40
+SCORE_RESAMPLES = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scope:
+    """The part of the paper that is made.
+
+    ``steps`` are those of the online phase in both worlds; ``quick`` takes few of everything.
+    """
+
+    species: tuple[str, ...] = SPECIES
+    learners: tuple[str, ...] = LEARNERS
+    seeds: tuple[int, ...] = (0, 1, 2)
+    settings: tuple[str, ...] = SETTINGS
+    steps: int | None = None
+    quick: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "species", tuple(map(species_name, self.species)))
+        for option, given, known in (
+            ("--species", self.species, SPECIES),
+            ("--only", self.learners, LEARNERS),
+            ("--setting", self.settings, SETTINGS),
+        ):
+            if unknown := [one for one in given if one not in known]:
+                raise InputError(
+                    f"{option} {unknown[0]}: it is not in the paper: choose among "
+                    f"{', '.join(known)}"
+                )
+        for name in self.species:
+            if not self.learners_of(name):
+                raise InputError(
+                    f"--only {self.learners[0]}: {name} has one condition, and this learner needs "
+                    "two: choose --species agent or silkmoth, or dqdil"
+                )
+
+    def learners_of(self, species: str) -> tuple[str, ...]:
+        """Return the learners that are defined for a species, in the paper's order."""
+        return tuple(
+            name
+            for name in LEARNERS
+            if name in self.learners
+            and (
+                get_species(species).conditions
+                or not named_recipe(name).algorithm.recipe.needs_condition
+            )
+        )
+
+    @cached_property
+    def cells(self) -> tuple[PaperCell, ...]:
+        """All cells, one species after another."""
+        return tuple(cell for name in self.species for cell in self._cells_of(name))
+
+    def _cells_of(self, species: str) -> Iterator[PaperCell]:
+        for setting in self.settings:
+            if setting != ADAPTED:
+                more = {} if setting == ONSET else {"fit_method": JOINT}
+                learners = self.learners_of(species)
+                planned = self._plan(species, learners, self.steps, preset="paper", **more)
+                yield from (PaperCell(setting, cell, planned, self.quick) for cell in planned.cells)
+                continue
+            adapting = tuple(name for name in self.learners_of(species) if name in ADAPTING)
+            for steps in (0, 100) if self.quick else ADAPTED_STEPS:
+                learners = adapting if steps else ("soft-bc",)
+                planned = self._plan(species, learners, steps or None)
+                name = f"{setting}-{steps}"
+                yield from (PaperCell(name, cell, planned, self.quick) for cell in planned.cells)
+
+    def _plan(
+        self, species: str, learners: tuple[str, ...], steps: int | None, **more: Any
+    ) -> Plan:
+        if self.quick:
+            pretrained = [one for one in learners if named_recipe(one).pretrained]
+            clone = QUICK_CLONE if not more else {"offline_epochs": 1}
+            more = QUICK | {"settings": dict.fromkeys(pretrained, clone)} | more
+            more |= {} if more.get("preset") else {"acting": "boltzmann:1", "thrusts": "1"}
+        more |= {} if steps is None else {"steps": steps}
+        return plan(
+            Matrix(species=(species,), recipes=learners, seeds=self.seeds, references=(), **more)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PaperCell:
+    """A cell of the benchmark in one setting of the page, and where its record is."""
+
+    setting: str
+    cell: Cell
+    plan: Plan
+    quick: bool
+
+    @property
+    def name(self) -> str:
+        """Name of the record."""
+        cell = self.cell
+        return f"{cell.data}-{cell.method}-{self.setting}-{cell.seed}"
+
+    @property
+    def steps(self) -> int:
+        """Return the steps of the online phase, 0 for learners without one."""
+        assert self.cell.settings is not None
+        online = named_recipe(self.cell.method).algorithm.recipe.online
+        return self.cell.settings.steps if online else 0
+
+    @property
+    def demos(self) -> Demonstrations:
+        """Return all demonstrations of its species that are used."""
+        return self.plan.worlds[0].demos
+
+    def record_file(self, out: Path) -> Path:
+        """Return where the record of this very cell lies, or would."""
+        return out / "records" / f"{self.name}-{self.cell.key}.npz"
+
+    def record(self, out: Path, kept: Path | None) -> Record | None:
+        """Return the record: of this cell in ``out``, or the kept one; None if there is none.
+
+        A kept record is of the same species, learner, setting, steps and seed, made by the commit
+        that it names.
+        """
+        file = self.record_file(out)
+        if file.exists():
+            return Record.load(file)
+        if self.cell.finished(out):
+            made = Record.of(self, out)
+            made.save(file)
+            return made
+        if kept is None or self.quick or not (there := kept / f"{self.name}.npz").exists():
+            return None
+        found = Record.load(there)
+        return found if found.about["steps"] == self.steps else None
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What tables and figures need of one cell.
+
+    Parameters
+    ----------
+    about
+        ``species``, ``learner``, ``setting``, ``seed``, ``steps``, ``commit``,
+        ``processor_seconds``; of adapted clones also ``realism`` and ``verdict``.
+    episodes
+        One row per rollout: start, condition, cue and :data:`VALUES`.
+    speeds
+        ``(bins,)`` counts of the speeds of all individuals, as :func:`count_speeds`.
+    paths
+        ``(frames, individuals, 2)`` of one rollout per condition and cue, by ``"condition-cue"``.
+    """
+
+    about: dict[str, Any]
+    episodes: pd.DataFrame
+    speeds: Ints
+    paths: Mapping[str, Floats]
+
+    @classmethod
+    def of(cls, one: PaperCell, out: Path) -> Record:
+        """Return the record of a finished cell.
+
+        Learners of Figure 5 are also simulated with the other cue, in an unchanged world.
+        """
+        cell, run = one.cell, Run(one.cell.folder(out) / "run")
+        demos = one.demos
+        test, factual = demos.select(split="test"), cell.rollouts(out)
+        rollouts = [factual]
+        if cell.method in COUNTERFACTUAL and run.species.conditions:
+            rollouts.append(run.simulate(flag="flipped", repetitions=cell.repetitions))
+        about = {
+            "version": RECORD_VERSION,
+            "species": cell.data,
+            "learner": cell.method,
+            "setting": one.setting,
+            "seed": cell.seed,
+            "steps": one.steps,
+            "commit": run.record["machine"]["commit"],
+            "processor_seconds": round(cell.cost(out)["processor_seconds"]),
+        }
+        if one.setting.startswith(ADAPTED):
+            scored = score(factual, demos, resamples=SCORE_RESAMPLES)
+            about |= {"verdict": scored.words, "realism": scored.by_measure[REALISM]["value"]}
+        paths = {}
+        for made in rollouts:
+            for condition, start in example_starts(test).items():
+                example = int(np.flatnonzero((made.demo == start) & (made.repetition == 0))[0])
+                paths[f"{condition}-{made.cue[example]}"] = made.path(example).astype(np.float32)
+        table = pd.concat([measure(made, test) for made in rollouts], ignore_index=True)
+        return cls(
+            about,
+            table[[*COLUMNS, *VALUES]].astype(COLUMNS | dict.fromkeys(VALUES, np.float32)),
+            count_speeds(factual, test),
+            paths,
+        )
+
+    def save(self, file: Path) -> None:
+        """Write a file that holds no code."""
+        columns = {name: self.episodes[name].to_numpy() for name in self.episodes}
+        paths = {f"path {name}": path for name, path in self.paths.items()}
+        about = np.array(json.dumps(self.about))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with write_then_rename(file) as part:
+            np.savez_compressed(part, about=about, speeds=self.speeds, **columns, **paths)
+
+    @classmethod
+    def load(cls, file: Path) -> Record:
+        """Read a record; InputError if it is damaged or of another version."""
+        arrays = read_npz(file)
+        try:
+            about = json.loads(str(arrays["about"]))
+            episodes = pd.DataFrame({name: arrays[name] for name in (*COLUMNS, *VALUES)})
+            speeds = arrays["speeds"]
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{file}: it is no record of a cell ({error}): remove it") from error
+        if about["version"] != RECORD_VERSION:
+            raise InputError(
+                f"{file}: it is of version {about['version']}, this is {RECORD_VERSION}: remove it"
+            )
+        paths = {
+            name.removeprefix("path "): path
+            for name, path in arrays.items()
+            if name.startswith("path ")
+        }
+        return cls(about, episodes, speeds, paths)
+
+
+def example_starts(test: Demonstrations) -> dict[int, int]:
+    """Return the test episode of median length of each condition, by condition."""
+    found = {}
+    for condition in np.unique(test.condition).tolist():
+        own = np.flatnonzero(test.condition == condition)
+        found[condition] = int(own[np.argsort(test.lengths[own], kind="stable")[len(own) // 2]])
+    return found
+
+
+def speed_edges(test: Demonstrations) -> Floats:
+    """Return the edges of bins up to a quarter beyond the top speed of the recordings."""
+    top = Rollouts.from_demonstrations(test).speeds().max()
+    return np.linspace(0.0, 1.25 * top, SPEED_BINS + 1)
+
+
+def count_speeds(rollouts: Rollouts, test: Demonstrations) -> Ints:
+    """Return how many speeds of all individuals lie in each bin; higher ones in the last."""
+    edges = speed_edges(test)
+    return np.histogram(np.minimum(rollouts.speeds(), edges[-1]), edges)[0]

@@ -1,0 +1,143 @@
+"""``animarl paper``: records of tiny cells, tables, figures, refusals, and the same bytes again."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import animarl
+from refusals import refuses
+from scipy import stats
+
+from animarl_algos.benchmark.paper import LEARNERS, Record, Scope
+from animarl_algos.benchmark.paper_page import (
+    PRETRAINED,
+    kde_distance,
+    kde_interval,
+    published,
+    shown_learners,
+)
+from animarl_envs.demos.packaged import load_packaged
+
+TRY = ["--quick", "--species", "silkmoth", "--only", "bc", "--only", "dqdil", "--setting", "onset"]
+TABLES = {"table1", "figure3", "figure4", "figure5", "adapted", "costs"}
+FIGURES = {"figure2", "figure3", "figure4", "figure4-joint", "figure5", "figure6", "text-s1"}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    made = [folder / "paper.md", *(folder / "results" / "paper").iterdir()]
+    return {file.name: file.read_bytes() for file in made}
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("paper") / "out"
+    assert "0 of 2 cells are there" in animarl("paper", *TRY, "--out", out)
+    return out
+
+
+def test_paper_makes_every_table_and_figure_and_none_twice(first: Path) -> None:
+    made = contents(first)
+    expected = {f"{name}.csv" for name in TABLES} | {f"{name}.svg" for name in FIGURES}
+    assert expected | {"paper.md", "adapted.svg"} == set(made)
+    assert max(map(len, made.values())) < 200_000
+    page = made["paper.md"].decode()
+    assert "not made" not in page and "$" not in page and "nan" not in page
+    assert "2 of 2 cells are there" in animarl("paper", *TRY, "--out", first)
+    assert contents(first) == made
+
+
+def test_numbers_of_the_paper_page_are_rows_of_its_tables(first: Path) -> None:
+    folder, page = first / "results" / "paper", (first / "paper.md").read_text()
+    table = pd.read_csv(folder / "figure4.csv")
+    assert set(table["measure"]) == {"reached", "duration", "path_length", "dtw"}
+    line = next(one for one in page.splitlines() if one.startswith("| silkmoths | DQDIL | onset"))
+    for value in table[table["learner"] == "dqdil"]["value"]:
+        shown = [float(one.replace("−", "-")) for one in re.findall(r"−?\d+\.?\d*", line)]
+        assert min(abs(one - value) for one in shown) <= 0.02 * abs(value) + 0.005
+    fits = pd.read_csv(folder / "table1.csv").set_index("parameter").loc["damping"]
+    assert fits["joint"] == pytest.approx(fits["true"], rel=1e-3)
+    assert fits["onset"] > 1.5 * fits["true"]
+    flips = pd.read_csv(folder / "figure5.csv")
+    assert {"1 → 2", "2 → 1"} <= set(flips[flips["learner"] == "dqdil"]["measure"])
+
+
+def test_a_kept_paper_record_stands_for_its_cell(first: Path, tmp_path: Path) -> None:
+    record = Record.load(next((first / "records").glob("silkmoth-dqdil-*.npz")))
+    assert record.about["seed"] == 0 and record.about["steps"] == 400
+    assert set(record.episodes["cue"]) == {0, 1} and len(record.paths) == 4
+    whole = Scope(species=("silkmoth",), learners=("dqdil",), settings=("onset",), steps=400)
+    cell = whole.cells[0]
+    assert cell.record(tmp_path / "none", tmp_path) is None
+    record.save(tmp_path / f"{cell.name}.npz")
+    kept = cell.record(tmp_path / "none", tmp_path)
+    assert kept is not None and kept.episodes.equals(record.episodes)
+    other = Scope(species=("silkmoth",), learners=("dqdil",), settings=("onset",)).cells[0]
+    assert other.record(tmp_path / "none", tmp_path) is None  # of other steps
+    record.about["version"] = 0
+    record.save(tmp_path / f"{cell.name}.npz")
+    assert "remove it" in refuses("version 0", cell.record, tmp_path / "none", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--species", "rat"], "--species rat: it is not in the paper: choose among agent, fly"),
+        (["--only", "ppo"], "--only ppo: it is not in the paper"),
+        (["--only", "dqcil", "--species", "fly"], "fly has one condition"),
+        (["--setting", "onset", "--hours", "0.1"], "--hours 0.1: the cells take about"),
+        (["--processes", "0"], "processes is 0"),
+    ],
+)
+def test_what_the_paper_does_not_have_is_refused(
+    words: list[str], sentence: str, tmp_path: Path
+) -> None:
+    small = [] if "--species" in words else ["--species", "silkmoth"]
+    refuses(re.escape(sentence), animarl, "paper", "--out", tmp_path / "out", *small, *words)
+
+
+def test_a_folder_of_another_version_is_refused_by_paper(tmp_path: Path) -> None:
+    (tmp_path / "benchmark.json").write_text('{"format": 1, "animarl": "0.0.9"}')
+    refuses("of animarl 0.0.9", animarl, "paper", *TRY, "--out", tmp_path)
+
+
+def test_published_rows_are_of_species_individuals_and_learners() -> None:
+    for species, individual, _ in published("table1"):
+        assert individual in load_packaged(species).individuals
+    for part in ("figure4", "figure5", "cost"):
+        assert {learner for _, learner, _ in published(part)} <= {*LEARNERS, "recorded"}
+    for species, learner, _ in published("figure5"):
+        either = {*shown_learners(species, True), *shown_learners(species, False)}
+        assert species in PRETRAINED and learner in either | {"recorded"}
+
+
+def textbook_kde_distance(first: np.ndarray, second: np.ndarray) -> float:
+    grid = np.linspace(-30, 30, 20_001)
+    densities = [stats.gaussian_kde(sample)(grid) for sample in (first, second)]
+    return float(np.trapezoid(np.abs(densities[0] - densities[1]), grid))
+
+
+def test_kde_distance_equals_scipys_densities_integrated() -> None:
+    rng = np.random.default_rng(11)
+    for shift in (0.0, 0.7, 3.0):
+        first, second = rng.normal(size=25), rng.gamma(2.0, size=60) + shift
+        assert kde_distance(first, second) == pytest.approx(
+            textbook_kde_distance(first, second), abs=2e-3
+        )
+    few, some = np.array([0.0, 1.0]), np.array([2.0, 2.7, 4.0])
+    assert kde_distance(few, some) == pytest.approx(textbook_kde_distance(few, some), abs=2e-3)
+    # Without variance: every episode timed out, here and there.
+    for one, other, expected in (([14.8] * 5, [14.8] * 9, 0.0), ([14.8], [3.0], 2.0)):
+        assert kde_distance(np.array(one), np.array(other)) == pytest.approx(expected, abs=1e-3)
+    assert 1.7 < kde_distance(np.full(50, 14.8), rng.uniform(0, 14.8, 50)) < 2.0
+
+
+def test_the_interval_of_a_kde_distance_surrounds_a_large_one() -> None:
+    rng = np.random.default_rng(17)
+    demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
+    truth = pd.DataFrame({"demo": np.arange(30), "x": rng.normal(size=30)})
+    drawn = truth["x"].to_numpy()[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
+    rows = pd.DataFrame({"seed": seed, "demo": demo, "x": drawn})
+    found = kde_interval(rows, truth, "x")
+    assert found.low < found.estimate < found.high < 2.0
