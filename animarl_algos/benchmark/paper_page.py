@@ -289,9 +289,9 @@ class Findings:
                 continue
             test = self.tests[name]
             recorded = self.recorded[name].assign(cue=NO_CUE)
-            given = {(RECORDED, ONSET): (recorded, pd.DataFrame())}
+            given = {(RECORDED, "–"): (recorded, pd.DataFrame())}
             if (truth := self.truth(name)) is not None:
-                given[TRUTH, ONSET] = truth
+                given[TRUTH, "–"] = truth
             for learner, setting in product(COUNTERFACTUAL, (ONSET, JOINT)):
                 pair = tuple(self.rows(name, setting, learner, flip) for flip in (False, True))
                 if not pair[0].empty:
@@ -614,7 +614,8 @@ def table1_page(found: Findings) -> tuple[str, str]:
     words = []
     for name in found.tests:
         own_ratios = [ratio for species, ratio in ratios if species == name]
-        words.append(f"{PLURALS[name]} {min(own_ratios):.1f} to {max(own_ratios):.1f}")
+        ends = dict.fromkeys(f"{end(own_ratios):.1f}" for end in (min, max))
+        words.append(f"{PLURALS[name]} {' to '.join(ends)}")
     head = ("species", "individual", "published: d, u, RMSE", "true", "onset rule", "joint fit")
     sentence = (
         f"Damping by the onset rule over the true one: {', '.join(words)}. Its top speed is the "
