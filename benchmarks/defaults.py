@@ -24,7 +24,7 @@ from stable_baselines3.common.logger import Logger
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
-from animarl_algos.benchmark.paper_page import kde_distance
+from animarl_algos.benchmark.paper_tables import kde_distance
 from animarl_algos.cli.shared import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts

@@ -163,23 +163,20 @@ class PaperCell:
         """Return where the record of this very cell lies, or would."""
         return out / "records" / f"{self.name}-{self.cell.key}.npz"
 
-    def record(self, out: Path, kept: Path | None) -> Record | None:
-        """Return the record: of this cell in ``out``, or the kept one; None if there is none.
+    def find_record(self, out: Path, kept: Path) -> tuple[Record | None, bool]:
+        """Return the record of this very cell in ``out``, or a kept one, and whether it is kept.
 
         A kept record is of the same species, learner, setting, steps and seed, made by the commit
         that it names.
         """
-        file = self.record_file(out)
+        file, there = self.record_file(out), kept / f"{self.name}.npz"
+        if not file.exists() and self.cell.finished(out):
+            Record.of(self, out).save(file)
         if file.exists():
-            return Record.load(file)
-        if self.cell.finished(out):
-            made = Record.of(self, out)
-            made.save(file)
-            return made
-        if kept is None or self.quick or not (there := kept / f"{self.name}.npz").exists():
-            return None
-        found = Record.load(there)
-        return found if found.about["steps"] == self.steps else None
+            return Record.load(file), False
+        found = Record.load(there) if there.exists() and not self.quick else None
+        of_steps = found is not None and found.about["steps"] == self.steps
+        return found if of_steps else None, of_steps
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,9 @@ import typer
 from rich.table import Table
 
 from animarl_algos.benchmark.matrix import Plan, claim_folder
-from animarl_algos.benchmark.paper import LEARNERS, SETTINGS, SPECIES, PaperCell, Record, Scope
-from animarl_algos.benchmark.paper_page import RESULTS, Findings, estimate, write_page
+from animarl_algos.benchmark.paper import LEARNERS, SETTINGS, SPECIES, Scope
+from animarl_algos.benchmark.paper_page import RESULTS, estimate, write_page
+from animarl_algos.benchmark.paper_tables import Findings
 from animarl_algos.benchmark.pieces import perform_all
 from animarl_algos.cli.benchmark import StageBars
 from animarl_algos.cli.shared import PlainConsole, with_help
@@ -75,7 +76,7 @@ def paper_command(
     )
     claim_folder(out, mark=not show)
     console = PlainConsole(least_width=100)
-    there = [(one, *find_record(one, out, kept)) for one in scope.cells]
+    there = [(one, *one.find_record(out, kept)) for one in scope.cells]
     left = [one for one, record, _ in there if record is None]
     seconds = estimate(left) / processes
     console.print(
@@ -104,7 +105,7 @@ def paper_command(
             for piece, error in perform_all(asked.stages, out, processes):
                 bars.update(piece, error)
         failed = bars.failed
-        there = [(one, *find_record(one, out, kept)) for one in scope.cells]
+        there = [(one, *one.find_record(out, kept)) for one in scope.cells]
     for piece, error in failed:
         console.print(f"\n{piece.name} failed: {error}")
     found = Findings(scope, there, kept)
@@ -117,12 +118,3 @@ def paper_command(
     console.print(f"\nOpen {written}")
     if failed:
         raise typer.Exit(1)
-
-
-def find_record(one: PaperCell, out: Path, kept: Path) -> tuple[Record | None, bool]:
-    """Return a cell's record, and whether it is a kept one."""
-    record = one.record(out, None)
-    if record is not None:
-        return record, False
-    record = one.record(out, kept)
-    return record, record is not None

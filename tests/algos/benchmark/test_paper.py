@@ -11,13 +11,8 @@ from refusals import refuses
 from scipy import stats
 
 from animarl_algos.benchmark.paper import LEARNERS, Record, Scope
-from animarl_algos.benchmark.paper_page import (
-    PRETRAINED,
-    kde_distance,
-    kde_interval,
-    published,
-    shown_learners,
-)
+from animarl_algos.benchmark.paper_figures import PRETRAINED, shown_learners
+from animarl_algos.benchmark.paper_tables import kde_distance, kde_interval, published
 from animarl_envs.demos.packaged import load_packaged
 
 TRY = ["--quick", "--species", "silkmoth", "--only", "bc", "--only", "dqdil", "--setting", "onset"]
@@ -69,15 +64,15 @@ def test_a_kept_paper_record_stands_for_its_cell(first: Path, tmp_path: Path) ->
     assert set(record.episodes["cue"]) == {0, 1} and len(record.paths) == 4
     whole = Scope(species=("silkmoth",), learners=("dqdil",), settings=("onset",), steps=400)
     cell = whole.cells[0]
-    assert cell.record(tmp_path / "none", tmp_path) is None
+    assert cell.find_record(tmp_path / "none", tmp_path) == (None, False)
     record.save(tmp_path / f"{cell.name}.npz")
-    kept = cell.record(tmp_path / "none", tmp_path)
-    assert kept is not None and kept.episodes.equals(record.episodes)
+    kept, was_kept = cell.find_record(tmp_path / "none", tmp_path)
+    assert was_kept and kept is not None and kept.episodes.equals(record.episodes)
     other = Scope(species=("silkmoth",), learners=("dqdil",), settings=("onset",)).cells[0]
-    assert other.record(tmp_path / "none", tmp_path) is None  # of other steps
+    assert other.find_record(tmp_path / "none", tmp_path) == (None, False)  # of other steps
     record.about["version"] = 0
     record.save(tmp_path / f"{cell.name}.npz")
-    assert "remove it" in refuses("version 0", cell.record, tmp_path / "none", tmp_path)
+    assert "remove it" in refuses("version 0", cell.find_record, tmp_path / "none", tmp_path)
 
 
 @pytest.mark.parametrize(
