@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ SPECIES = ("agent", "fly", "newt", "silkmoth")
 LEARNERS = ("dqn", "bc", "dqaas", "dqdil-pt", "dqdil", "dqcil-pt", "dqcil")
 COUNTERFACTUAL = ("dqdil-pt", "dqcil-pt", "dqdil", "dqcil")
 ADAPTING = ("dqdil-pt", "dqcil-pt", "dqaas")
-ADAPTED_STEPS = (0, 5_000, 20_000, 100_000)
+ADAPTED_STEPS = (5_000, 20_000, 100_000)
 PAPER_STEPS = 1_005_000
 ONSET, JOINT, ADAPTED = "onset", "joint", "adapted"
 SETTINGS = (ONSET, JOINT, ADAPTED)
@@ -112,11 +113,16 @@ class Scope:
                 yield from (PaperCell(setting, cell, planned, self.quick) for cell in planned.cells)
                 continue
             adapting = tuple(name for name in self.learners_of(species) if name in ADAPTING)
-            for steps in (0, 100) if self.quick else ADAPTED_STEPS:
-                learners = adapting if steps else ("soft-bc",)
-                planned = self._plan(species, learners, steps or None)
-                name = f"{setting}-{steps}"
-                yield from (PaperCell(name, cell, planned, self.quick) for cell in planned.cells)
+            levels = (100,) if self.quick else ADAPTED_STEPS
+            for learners, some in ((("soft-bc",), (0,)), (adapting, levels)):
+                if not learners:
+                    continue
+                planned = self._plan(species, learners, None)
+                for steps, cell in product(some, planned.cells):
+                    assert cell.settings is not None
+                    settings = cell.settings.changed(steps=steps or cell.settings.steps)
+                    own = replace(cell, settings=settings)
+                    yield PaperCell(f"{setting}-{steps}", own, planned, self.quick)
 
     def _plan(
         self, species: str, learners: tuple[str, ...], steps: int | None, **more: Any
@@ -230,7 +236,7 @@ class Record:
         for made in rollouts:
             for condition, start in example_starts(test).items():
                 example = int(np.flatnonzero((made.demo == start) & (made.repetition == 0))[0])
-                paths[f"{condition}-{made.cue[example]}"] = made.path(example).astype(np.float32)
+                paths[f"{condition}-{made.cue[example]}"] = made.path(example)
         table = pd.concat([measure(made, test) for made in rollouts], ignore_index=True)
         return cls(
             about,
@@ -241,12 +247,13 @@ class Record:
 
     def save(self, file: Path) -> None:
         """Write a file that holds no code."""
-        columns = {name: self.episodes[name].to_numpy() for name in self.episodes}
-        paths = {f"path {name}": path for name, path in self.paths.items()}
+        arrays: dict[str, Any] = {name: self.episodes[name].to_numpy() for name in COLUMNS}
+        arrays |= {name: self.episodes[name].to_numpy() for name in VALUES}
+        arrays |= {f"path {name}": np.float32(path) for name, path in self.paths.items()}
         about = np.array(json.dumps(self.about))
         file.parent.mkdir(parents=True, exist_ok=True)
         with write_then_rename(file) as part:
-            np.savez_compressed(part, about=about, speeds=self.speeds, **columns, **paths)
+            np.savez_compressed(part, about=about, speeds=self.speeds, **arrays)
 
     @classmethod
     def load(cls, file: Path) -> Record:

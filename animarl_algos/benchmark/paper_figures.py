@@ -167,7 +167,7 @@ def panels_by_species(found: Findings, **labels: str) -> tuple[Figure, Iterator[
 
 def draw_figure3(found: Findings) -> Figure:
     """Draw histograms of speed, areas one."""
-    looks = {
+    looks: dict[str, dict[str, Any]] = {
         RECORDED: {"fill": True, "color": style.FILL.hex, "alpha": 0.55},
         ONSET: {"color": style.BLUE.hex},
         JOINT: {"color": style.VERMILION.hex, "linestyle": (0, (3, 2))},
@@ -191,7 +191,8 @@ def draw_adapted(found: Findings) -> Figure:
         figure, panels = panels_by_species(found, xlabel="Steps online", ylabel="Realism")
         for name, panel in panels:
             own = table[table["species"] == name]
-            for learner, rows in own.groupby("learner"):
+            groups: Any = own.groupby("learner")
+            for learner, rows in groups:
                 if (rows["steps"] == 0).all():
                     panel.axhline(rows["value"].iloc[0], **REFERENCE)
                     continue

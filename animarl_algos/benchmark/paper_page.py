@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -56,7 +57,8 @@ CAPTIONS = {
 def texts(table: pd.DataFrame, keys: Sequence[str], columns: Mapping[str, bool]) -> list[list[str]]:
     """Return a row of texts per combination of keys: each measure, and where True the paper's."""
     lines = []
-    for place, own in table.groupby(list(keys), sort=False):
+    groups: Any = table.groupby(list(keys), sort=False)
+    for place, own in groups:
         by = own.drop_duplicates("measure").set_index("measure")
         line = []
         for key, one in zip(keys, place):
@@ -72,7 +74,7 @@ def texts(table: pd.DataFrame, keys: Sequence[str], columns: Mapping[str, bool])
     return lines
 
 
-def value_of(row: pd.Series) -> str:
+def value_of(row: Any) -> str:
     """Return a value with its interval."""
     return with_interval(Interval(row["value"], row["low"], row["high"]))
 
@@ -80,7 +82,8 @@ def value_of(row: pd.Series) -> str:
 def table1_page(found: Findings) -> dict[str, str]:
     """Return Table 1 and a sentence on dampings."""
     rows, ratios = [], dict[str, list[float]]()
-    for (name, individual), own in found.table1.groupby(["species", "individual"], sort=False):
+    groups: Any = found.table1.groupby(["species", "individual"], sort=False)
+    for (name, individual), own in groups:
         kinds = ("published", "true", ONSET, JOINT)
         values = [", ".join(number(value) for value in own[kind]) for kind in kinds]
         rows.append([PLURALS[name], individual, *values])
@@ -103,7 +106,8 @@ def figure4_page(found: Findings) -> dict[str, str]:
     table = found.figure4.sort_values(keys[:3], key=lambda column: column.map(order), kind="stable")
     theirs = {species: value for (species, *_), value in published("nearest").items()}
     words = []
-    for (name, setting), own in table.groupby(["species", "setting"], sort=False):
+    groups: Any = table.groupby(["species", "setting"], sort=False)
+    for (name, setting), own in groups:
         nearest = []
         for key in (DURATION.key, PATH_LENGTH.key):
             rows = own[own["measure"] == key]
@@ -144,7 +148,8 @@ def adapted_page(found: Findings) -> dict[str, str]:
     keys = ["species", "learner", "steps", "seeds", "verdict"]
     columns = {REALISM: False, REACHED: False, DTW.key: False}
     table, words = found.adapted, []
-    for name, own in table[table["measure"] == REALISM].groupby("species", sort=False):
+    groups: Any = table[table["measure"] == REALISM].groupby("species", sort=False)
+    for name, own in groups:
         clone, later = own[own["steps"] == 0]["value"].mean(), own[own["steps"] > 0]
         if later.empty or not np.isfinite(clone):
             continue
@@ -184,10 +189,10 @@ def cells_page(found: Findings) -> str:
     rows = [record.about | {"kept": kept} for _, record, kept in found.records if record]
     keys = ["species", "learner", "setting", "steps", "commit", "kept"]
     lines = []
-    for place, own in pd.DataFrame(rows, columns=[*keys, "seed", "processor_seconds"]).groupby(
+    groups: Any = pd.DataFrame(rows, columns=[*keys, "seed", "processor_seconds"]).groupby(
         keys, sort=False
-    ):
-        name, learner, setting, steps, commit, kept = place
+    )
+    for (name, learner, setting, steps, commit, kept), own in groups:
         seeds, seconds = (", ".join(map(str, own[key])) for key in ("seed", "processor_seconds"))
         lines.append([PLURALS[name], method_label(learner), setting, f"{steps:,}", commit[:7],
                       seeds, seconds if kept else "`costs.csv`"])  # fmt: skip
@@ -244,7 +249,8 @@ def write_page(found: Findings, folder: Path) -> Path:
     with all_files_or_none(folder / RESULTS) as part:
         costs.to_csv(part / "costs.csv", index=False)
         for name in ("table1", "figure3", "figure4", "figure5", "adapted"):
-            table = getattr(found, name).dropna(axis="columns", how="all")
+            table = getattr(found, name)
+            table = table if table.empty else table.dropna(axis="columns", how="all")
             table.to_csv(part / f"{name}.csv", index=False, float_format="%.6g")
         for name, figure in figures.items():
             save_svg(figure, CAPTIONS[name], part / f"{name}.svg")

@@ -181,7 +181,8 @@ class Findings:
             for (i, individual), (key, field) in product(
                 enumerate(demos.individuals), fields.items()
             ):
-                row = {"species": name, "individual": individual, "parameter": key}
+                row: dict[str, Any] = {"species": name, "individual": individual}
+                row["parameter"] = key
                 row["published"] = float(paper[name, individual, key])
                 row["true"] = getattr(get_species(name).locomotion[i], key, np.nan)
                 fitted = {
@@ -218,10 +219,10 @@ class Findings:
             for key in (DURATION.key, PATH_LENGTH.key):
                 found[key] = kde_interval(own, self.recorded[name], key)
             if learner != "bc" and len(clone):
-                pair = (self.gather(one, name, DTW.key) for one in (clone, own))
-                found[DTW.key] = bootstrap_difference(*pair, draws)
+                theirs, its = (self.gather(one, name, DTW.key) for one in (clone, own))
+                found[DTW.key] = bootstrap_difference(theirs, its, draws)
             commits = {one.about["commit"][:7] for one in self.of(name, setting, learner)}
-            head = {"species": name, "setting": setting, "learner": learner}
+            head: dict[str, Any] = {"species": name, "setting": setting, "learner": learner}
             head |= {"seeds": own["seed"].nunique(), "commit": " ".join(sorted(commits))}
             rows += [
                 row_of(value, **head, measure=key, published=paper.get((name, learner, key), ""))
@@ -258,7 +259,8 @@ class Findings:
             for ((learner, setting), pair), key in product(
                 given.items(), (PATH_LENGTH.key, DURATION.key)
             ):
-                head = {"species": name, "setting": setting, "learner": learner, "quantity": key}
+                head: dict[str, Any] = {"species": name, "setting": setting, "learner": learner}
+                head["quantity"] = key
                 head["seeds"] = "" if setting == NO_WORLD else pair[0]["seed"].nunique()
                 rows += self._shifts(test, [*pair, recorded], head)
         return pd.DataFrame(rows, columns=COLUMNS)
@@ -322,7 +324,7 @@ class Findings:
             if not (made := self.of(name, setting, learner)):
                 continue
             own, draws = self.rows(name, setting, learner), Draws.by(np.random.default_rng(SEED))
-            head = {"species": name, "learner": learner, "seeds": len(made)}
+            head: dict[str, Any] = {"species": name, "learner": learner, "seeds": len(made)}
             head["steps"] = int(setting.partition("-")[2])
             head["verdict"] = "; ".join(dict.fromkeys(one.about["verdict"] for one in made))
             captured = self.gather(own, name, "captured")

@@ -67,8 +67,8 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
-    "animarl_algos.benchmark": 19_850,
-    "animarl_algos.cli": 17_600,
+    "animarl_algos.benchmark": 20_000,
+    "animarl_algos.cli": 17_500,
     "animarl_algos.data": 8_560,
     "animarl_algos.evaluation": 40_500,
     "animarl_algos.learner": 18_010,
