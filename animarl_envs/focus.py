@@ -153,3 +153,18 @@ def distances_to_target(positions: Floats, roles: Sequence[str]) -> Floats:
     if "searcher" in roles:
         return np.asarray(np.linalg.norm(positions, axis=2))
     return np.full((len(positions), 1), np.inf)
+
+
+def nearest_other(position: Floats) -> Floats:
+    """Return the vector from each individual to its nearest other, as ``(..., individuals, 2)``.
+
+    Takes memory in proportion to the number of individuals. NaN where a position is.
+    """
+    nearest = np.empty_like(position)
+    for i in range(position.shape[-2]):
+        apart = position - position[..., i : i + 1, :]
+        distance = np.nan_to_num(np.linalg.norm(apart, axis=-1), nan=np.inf)
+        distance[..., i] = np.inf
+        place = distance.argmin(axis=-1)[..., None, None]
+        nearest[..., i, :] = np.take_along_axis(apart, place, axis=-2)[..., 0, :]
+    return nearest

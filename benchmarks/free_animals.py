@@ -40,13 +40,13 @@ from rich.table import Table
 from animarl_algos import load_run
 from animarl_algos.evaluation.classifier import classify, sequence_windows, window_steps
 from animarl_algos.evaluation.collect import Blindfolded
-from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import resting_step, smoothed
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.run import Run
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.summary import unit_of
+from animarl_envs.focus import nearest_other
 from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds import observation_components
 from benchmarks.faithful import ANIMARL

@@ -98,6 +98,7 @@ COMMANDS = {
     "export": Place("evaluate", "export_command"),
     "watch": Place("watch", "watch_command"),
     "simulate": Place("simulate", "simulate_command"),
+    "figure": Place("figure", "figure_command"),
     "compile": Place("main", "compile_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
     "paper": Place("paper", "paper_command"),

@@ -36,6 +36,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import rounded
 from animarl_envs.errors import require
 from animarl_envs.fitting.tracking import Tracking
+from animarl_envs.focus import nearest_other
 
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 QUARTER = 0.25  # of the median episode: a long window ...
@@ -206,7 +207,7 @@ def _series(
     steps, num, dt = paths.shape[1] - 1, paths.shape[2], rollouts.dt
     series: list[tuple[str, Floats]] = []
     if rollouts.is_group:
-        nearest, centre = order_in_time.nearest_other(paths), paths.mean(axis=2, keepdims=True)
+        nearest, centre = nearest_other(paths), paths.mean(axis=2, keepdims=True)
         each, near, arm = (
             one.swapaxes(1, 2).reshape(-1, steps + 1, 1, 2)
             for one in (paths, nearest, centre - paths)

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from animarl_algos.evaluation.order_in_time import Series, cross, nearest_other
+from animarl_algos.evaluation.order_in_time import Series, cross
 from animarl_algos.evaluation.prepared import Prepared, resting_step
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
 from animarl_envs.array_types import Floats
-from animarl_envs.focus import focus_directions
+from animarl_envs.focus import focus_directions, nearest_other
 
 ZONES = 3  # distances to the focus with a gain each
 EACH = 2  # rollouts from every start

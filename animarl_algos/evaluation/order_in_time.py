@@ -17,7 +17,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.episode import Episodes
-from animarl_envs.focus import FALLBACK, focus_directions
+from animarl_envs.focus import FALLBACK, focus_directions, nearest_other
 
 LAGS = (0.5, 2.0, 5.0, 20.0)  # [s] at which order in time is looked at
 LONGEST_LAG = 0.5  # of the median episode: beyond it too few pairs of steps are left
@@ -84,21 +84,6 @@ class Series:
         length = np.linalg.norm(self.step, axis=-1)
         length[~self.moving] = np.nan
         return np.asarray(self.step / length[..., None])
-
-
-def nearest_other(position: Floats) -> Floats:
-    """Return the vector from each individual to its nearest other, as ``(..., individuals, 2)``.
-
-    Takes memory in proportion to the number of individuals. NaN where a position is.
-    """
-    nearest = np.empty_like(position)
-    for i in range(position.shape[-2]):
-        apart = position - position[..., i : i + 1, :]
-        distance = np.nan_to_num(np.linalg.norm(apart, axis=-1), nan=np.inf)
-        distance[..., i] = np.inf
-        place = distance.argmin(axis=-1)[..., None, None]
-        nearest[..., i, :] = np.take_along_axis(apart, place, axis=-2)[..., 0, :]
-    return nearest
 
 
 def cross(first: Floats, second: Floats) -> Floats:
@@ -362,6 +347,16 @@ def _bouts(moving: Bools, defined: Bools) -> Floats:
     begins = moving & ~np.concatenate([np.zeros_like(moving[:, :1]), moving[:, :-1]], axis=1)
     count = begins.sum(axis=1)
     return np.asarray(moving.sum(axis=1) / np.maximum(count, 1))
+
+
+def stretches(true: Bools) -> Ints:
+    """Return the length of every uninterrupted stretch [steps].
+
+    ``true`` is ``(episodes, steps, individuals)``.
+    """
+    padded = np.pad(true, ((0, 0), (1, 1), (0, 0))).astype(np.int8)
+    change = np.diff(padded, axis=1).swapaxes(1, 2)
+    return np.nonzero(change < 0)[2] - np.nonzero(change > 0)[2]
 
 
 def _longest(true: Bools) -> Floats:

@@ -70,25 +70,40 @@ def histograms(
     simulated: Floats, recorded: Floats, axis: str, title: str = "", name: str = "recorded"
 ) -> Figure:
     """Draw two samples on shared bins, recorded filled and simulated as a line; areas are one."""
-    edges = np.linspace(
-        0.0, max(simulated.max(initial=0.0), recorded.max(initial=0.0)) or 1.0, BINS
-    )
+    edges = shared_edges(simulated, recorded)
     with one_panel(3.4, 2.1, "", xlabel=axis, ylabel="Density", title=title) as (figure, panel):
-        panel.hist(
-            recorded, edges, density=True, color=style.FILL.hex, alpha=0.55, linewidth=0, label=name
-        )
-        panel.hist(
-            simulated,
-            edges,
-            density=True,
-            histtype="step",
-            linewidth=1.6,
-            label="simulated",
-            color=style.BLUE.hex,
-        )
+        draw_histograms(panel, recorded, simulated, edges, (name, "simulated"))
         panel.set_xlim(edges[0], edges[-1])
         panel.legend(loc="best")
     return figure
+
+
+def shared_edges(*samples: Floats) -> Floats:
+    """Return the edges of bins from 0 that hold all samples."""
+    return np.linspace(0.0, max(one.max(initial=0.0) for one in samples) or 1.0, BINS)
+
+
+def draw_histograms(
+    panel: Axes,
+    recorded: Floats,
+    simulated: Floats,
+    edges: Floats,
+    labels: Sequence[str],
+    *,
+    fill: str = style.FILL.hex,
+    line: str = style.BLUE.hex,
+    dashes: Any = "-",
+) -> tuple[Floats, Floats]:
+    """Draw recorded values filled and simulated ones as a line; return both densities."""
+    densities = [
+        np.histogram(one, edges, density=True)[0] if len(one) else np.zeros(len(edges) - 1)
+        for one in (recorded, simulated)
+    ]
+    panel.stairs(
+        densities[0], edges, fill=True, color=fill, alpha=0.45, linewidth=0, label=labels[0]
+    )
+    panel.stairs(densities[1], edges, color=line, linewidth=1.4, linestyle=dashes, label=labels[1])
+    return densities[0], densities[1]
 
 
 def interval_rows(
@@ -159,26 +174,36 @@ def forest(
 
     Each row is ``(label, word, value, low, high)``, from bottom to top.
     """
-    with one_panel(6.4, 0.8 + 0.24 * len(rows), "x", xlabel="Difference / tolerance") as drawn:
-        figure, panel = drawn
-        panel.axvspan(-1, 1, color=style.LINE.hex, lw=0, zorder=0)
-        panel.axvline(0, **REFERENCE)
-        for base, (_, word, value, low, high) in enumerate(rows):
-            if not np.isfinite(value):
-                continue
-            colour = WORD_COLOURS[word].hex
-            if np.isfinite(low):
-                ends = np.clip([low, high], -FOREST_LIMIT, FOREST_LIMIT)
-                panel.plot(ends, [base, base], color=colour, linewidth=1.8)
-            place, inside = np.clip(value, -FOREST_LIMIT, FOREST_LIMIT), abs(value) <= FOREST_LIMIT
-            mark = "o" if inside else "<" if value < 0 else ">"
-            panel.plot(place, base, mark, color=colour, markersize=5)
-        panel.set_yticks(range(len(rows)), [say(label) for label, *_ in rows])
-        panel.tick_params(axis="y", length=0, labelsize=7.5)
-        panel.spines["left"].set_visible(False)
-        panel.set_ylim(-0.7, len(rows) - 0.3)
-        panel.set_xlim(-FOREST_LIMIT, FOREST_LIMIT)
+    with one_panel(6.4, 0.8 + 0.24 * len(rows), "") as (figure, panel):
+        draw_forest(panel, rows, say)
+        panel.tick_params(axis="y", labelsize=7.5)
     return figure
+
+
+def draw_forest(
+    panel: Axes,
+    rows: Sequence[tuple[str, str, float, float, float]],
+    say: Callable[[str], str] = str,
+) -> None:
+    """Draw the questions of :func:`forest` on any axes."""
+    panel.grid(axis="x", color=style.LINE.hex, linewidth=0.5)
+    panel.axvspan(-1, 1, color=style.LINE.hex, lw=0, zorder=0)
+    panel.axvline(0, **REFERENCE)
+    for base, (_, word, value, low, high) in enumerate(rows):
+        if not np.isfinite(value):
+            continue
+        colour = WORD_COLOURS[word].hex
+        if np.isfinite(low):
+            ends = np.clip([low, high], -FOREST_LIMIT, FOREST_LIMIT)
+            panel.plot(ends, [base, base], color=colour, linewidth=1.8)
+        place, inside = np.clip(value, -FOREST_LIMIT, FOREST_LIMIT), abs(value) <= FOREST_LIMIT
+        mark = "o" if inside else "<" if value < 0 else ">"
+        panel.plot(place, base, mark, color=colour, markersize=5)
+    panel.set_yticks(range(len(rows)), [say(label) for label, *_ in rows])
+    panel.tick_params(axis="y", length=0)
+    panel.spines["left"].set_visible(False)
+    panel.set_ylim(-0.7, len(rows) - 0.3)
+    panel.set(xlim=(-FOREST_LIMIT, FOREST_LIMIT), xlabel="Difference / tolerance")
 
 
 def rank_histograms(ranks: Mapping[str, Sequence[float]]) -> Figure:
@@ -286,23 +311,15 @@ def path_panels(
     one another with names of the individuals.
     """
     view = view_of(stage.arena, recorded, *(path for _, path in paths))
-    x, y, half = view
     with style.figure_style():
-        from matplotlib.patches import Rectangle
-
         size = (1.9, 4.5, len(paths), 1) if below else (1.55 * len(paths), 2.1, 1, len(paths))
         figure, axes = style.new_figure(*size)
         axes = np.atleast_1d(axes)
         for panel, (name, path) in zip(axes, paths):
             draw_paths(panel, path, stage.arena, stage.roles, stage.names)
-            panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
-            if stage.arena.shape == "open":
-                window = (x - half, y - half)
-                panel.add_patch(
-                    Rectangle(window, 2 * half, 2 * half, color=style.FLOOR.hex, zorder=0)
-                )
+            frame_window(panel, view, stage.arena)
             panel.set_title(name, fontsize=7.5, fontweight="normal", pad=3)
-        _scale_bar(axes[-1 if below else 0], view, stage.words.unit)
+        draw_scale_bar(axes[-1 if below else 0], view, stage.words.unit)
         if below:
             figure.legend(
                 *(part[::-1] for part in axes[0].get_legend_handles_labels()),
@@ -384,8 +401,19 @@ def view_of(arena: Arena, recorded: Floats, *others: Floats) -> View:
     return float(x), float(y), float((high - low).max()) / 2 * margin
 
 
-def _scale_bar(panel: Axes, view: View, unit: Unit) -> None:
-    """Below the window, so that it covers no path."""
+def frame_window(panel: Axes, view: View, arena: Arena) -> None:
+    """Set the limits of a window; an open field, which has no edge, fills it."""
+    from matplotlib.patches import Rectangle
+
+    x, y, half = view
+    panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+    if arena.shape == "open":
+        corner = (x - half, y - half)
+        panel.add_patch(Rectangle(corner, 2 * half, 2 * half, color=style.FLOOR.hex, zorder=0))
+
+
+def draw_scale_bar(panel: Axes, view: View, unit: Unit) -> None:
+    """Draw a scale bar below the window, so that it covers no path."""
     x, y, half = view
     length, label = round_length(half * unit.per_arena_unit / 2, unit.name)
     left, below = x - half, y - 1.06 * half

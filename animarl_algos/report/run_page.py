@@ -11,7 +11,6 @@ import pandas as pd
 from animarl_algos.evaluation.comparison import COUNTING
 from animarl_algos.evaluation.headline import list_implausible
 from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
-from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import CELLS, Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
@@ -24,6 +23,7 @@ from animarl_algos.report.style import Image, method_label, to_image
 from animarl_algos.report.verdict_section import comparison_as_table, verdict_blocks, verdict_lead
 from animarl_algos.report.words import NOTHING, cautions, number, pick, scaled
 from animarl_envs.array_types import Floats
+from animarl_envs.focus import nearest_other
 
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the DTW distance, for the examples
 

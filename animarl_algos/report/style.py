@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from html import escape
@@ -166,11 +166,11 @@ def looks(roles: Sequence[str]) -> list[Look]:
     ]
 
 
-def figure_style() -> AbstractContextManager[None]:
-    """Return a context within which new figures share one look."""
+def figure_style(changes: Mapping[str, Any] | None = None) -> AbstractContextManager[None]:
+    """Return a context within which new figures share one look, but for ``changes`` of it."""
     from matplotlib import rc_context
 
-    return rc_context(RC)
+    return rc_context(RC | dict(changes or {}))
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:

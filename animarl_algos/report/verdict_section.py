@@ -109,13 +109,7 @@ def _evidence(verdict: Verdict) -> list[str]:
 
 def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
     """Yield the picture of all questions, their table and, folded, the realism score."""
-    strip = forest(
-        [
-            (row.label, row.judgement, *_in_tolerances(row))
-            for row in sorted(verdict.rows(), key=farness)
-        ],
-        words.adapt,
-    )
+    strip = forest(forest_rows(verdict), words.adapt)
     images = [to_image(strip, words.adapt("Difference of every question in its tolerances"))]
     caption = (
         "Each question as the difference of simulated and recorded, in units of its tolerance, "
@@ -162,6 +156,14 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         "Components of a kind weigh alike.",
         folded="Realism by component",
     )
+
+
+def forest_rows(verdict: Verdict) -> list[tuple[str, str, float, float, float]]:
+    """Return label, word and difference with interval in tolerances, the farthest row last."""
+    return [
+        (row.label, row.judgement, *_in_tolerances(row))
+        for row in sorted(verdict.rows(), key=farness)
+    ]
 
 
 def _in_tolerances(row: Row) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ from animarl_algos.evaluation.acting_choice import MARGIN
 from animarl_algos.evaluation.collect import Blindfolded, Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.comparison import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.pretraining import few_or_count
@@ -24,6 +25,7 @@ from animarl_algos.learner.progress import progress_display
 from animarl_algos.losses.terms import Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
+from animarl_algos.report.panels import Sides
 from animarl_algos.report.run_page import run_page
 from animarl_algos.runs import run_set
 from animarl_algos.runs.run import Run, method_name
@@ -352,6 +354,22 @@ def evaluate_runs(
         write_tables(tables | {"verdict": evaluation.verdict.table}, part)
         run_page(report_inputs(evaluated, evaluation, settings, made_by)).write(part)
     return evaluated
+
+
+def figure_sides(run: Run) -> Sides:
+    """Return recordings and rollouts of a run for its figures.
+
+    These are its saved rollouts and verdict where it was evaluated; else it is simulated.
+    """
+    if not (run.path / "rollouts").is_dir():
+        return Sides(run.demos.select(split="test"), run.simulate())
+    folds = run_set.trained_folds(run)
+    rollouts = run_set.joined_rollouts(folds) if folds else run.rollouts()
+    found = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
+    verdict = None
+    if (run.path / "evaluation" / "verdict.json").exists():
+        verdict = Verdict.load(run.path / "evaluation")
+    return Sides(found.test, rollouts[found.learner], verdict)
 
 
 def report_inputs(

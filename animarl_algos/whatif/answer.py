@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation.metrics import METRICS, Metric
-from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.prepared import censored, path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
@@ -29,7 +28,7 @@ from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.focus import distances_to_target, is_free
+from animarl_envs.focus import distances_to_target, is_free, nearest_other
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading

@@ -14,7 +14,7 @@ from animarl_algos.evaluation.metrics import (
     compared_metrics,
     judged_metrics,
 )
-from animarl_algos.evaluation.order_in_time import nearest_other, order_measures
+from animarl_algos.evaluation.order_in_time import order_measures
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -23,6 +23,7 @@ from animarl_algos.evaluation.verdict_rows import DIFFERS
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.focus import nearest_other
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 from tools.packaged_data import larva, shoal
