@@ -16,15 +16,15 @@ from animarl_algos.cli.shared import (
     SOURCE,
     load,
     refuse_overwriting,
-    track_rows,
     with_help,
     write_csv,
+    write_tracks,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal
-from animarl_envs.demos.summary import episode_table
+from animarl_envs.demos.summary import RECORDED_SCALE, episode_table, unit_of
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing.minari_io import export_minari, export_packaged
@@ -179,7 +179,7 @@ def split_command(
         ) from None
     settings = Splitting(by=by, pattern=pattern, fractions=shares, seed=seed)  # type: ignore[arg-type]
     demos = load(file)
-    report(deal(demos, settings), out, None)
+    report(deal(demos, settings), out)
 
 
 @app.command("merge")
@@ -201,17 +201,19 @@ def merge_command(files: list[Path], out: Path, conditions: str | None = None) -
     """
     require(out.suffix == ".npz", f"{out}: demonstrations end in .npz: rename it")
     refuse_overwriting(out, *files)
-    report(merged(files, conditions), out, None)
+    report(merged(files, conditions), out)
 
 
 @app.command("convert")
 @with_help(file=FILE, out=OUT, source="Reader of the file.")
 def convert_command(file: str, out: Path, source: str | None = None) -> None:
-    """Convert to .npz, .csv (long table), or a Minari dataset (a folder, no suffix).
+    """Convert to .npz, .csv or .parquet (long table), .nc (movement), or Minari (no suffix).
 
     Examples:
 
       animarl data convert demos.npz --out demos.csv
+
+      animarl data convert demos.npz --out demos.nc
 
       animarl data convert demos.npz --out courtship-v0
     """
@@ -219,13 +221,12 @@ def convert_command(file: str, out: Path, source: str | None = None) -> None:
     demos = load(file, source, takes=(SOURCE,))
     if out.suffix == ".npz":
         demos.save(out)
-    elif out.suffix == ".csv":
-        heads = [{"recording": f"{name}/{i}"} for i, name in enumerate(demos.recording.tolist())]
-        write_csv(out, track_rows(demos, heads))
     elif out.suffix == "":
         export_minari(demos, out)
     else:
-        raise InputError(f"{out}: the suffix says the format: .npz, .csv, or none for Minari")
+        heads = [{"recording": f"{name}/{i}"} for i, name in enumerate(demos.recording.tolist())]
+        unit = RECORDED_SCALE if out.suffix == ".csv" else unit_of(demos)
+        write_tracks(out, demos, heads, unit)
     wide_console().print(f"Wrote {out}")
 
 

@@ -22,10 +22,12 @@ from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.summary import RECORDED_SCALE, Unit
 from animarl_envs.errors import InputError, printable
 from animarl_envs.files import write_then_rename
+from animarl_envs.importing.netcdf_io import write_netcdf
 from animarl_envs.importing.readers import read
 
 CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 ALL = "all"
+TRACK_FILES = (".csv", ".parquet", ".nc")
 SOURCE = "--source"
 DECIMAL_SIGNS = {",", "."}
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
@@ -182,6 +184,26 @@ def track_rows(
             for individual, (east, north) in zip(episodes.individuals, places, strict=True):
                 row = {"frame": frame, "time_s": frame * episodes.dt, "id": individual}
                 yield {**head, **row, x: east, y: north}
+
+
+def write_tracks(
+    out: Path, episodes: Episodes, heads: Sequence[Mapping[str, object]], unit: Unit
+) -> None:
+    """Write episodes as a table, .csv or .parquet, or as movement's netCDF, .nc.
+
+    Raises InputError if the suffix is another.
+    """
+    if out.suffix == ".nc":
+        write_netcdf(out, episodes, heads, unit)
+    elif out.suffix == ".csv":
+        write_csv(out, track_rows(episodes, heads, unit))
+    elif out.suffix == ".parquet":
+        import pandas as pd
+
+        with write_then_rename(out) as part:
+            pd.DataFrame(track_rows(episodes, heads, unit)).to_parquet(part)
+    else:
+        raise InputError(f"{out}: the suffix says the format: choose {', '.join(TRACK_FILES)}")
 
 
 def write_csv(out: Path, rows: Iterable[Mapping[str, object]]) -> None:

@@ -1,26 +1,23 @@
-"""``animarl simulate``: write simulated tracks as a table for other programs."""
+"""``animarl simulate``: write simulated tracks for other programs."""
 
 from pathlib import Path
 
 from typer import Option
 
 from animarl_algos.cli.shared import (
+    TRACK_FILES,
     PlainConsole,
     named_split,
     refuse_overwriting,
-    track_rows,
     with_help,
-    write_csv,
+    write_tracks,
 )
 from animarl_envs.errors import require
-from animarl_envs.files import write_then_rename
-
-SUFFIXES = (".csv", ".parquet")
 
 
 @with_help(
     model="A run's folder, or a packaged model by name, such as fly.",
-    out=Option(help="Table to write, .csv or .parquet."),
+    out=Option(help="File to write, .csv, .parquet, or .nc for the package movement."),
     repetitions=Option(min=1, help="Rollouts from each start."),
     split="Episodes to start from: train, val, test or all.",
     seed="Seed of the rollouts; by default that of the run.",
@@ -32,20 +29,23 @@ def simulate_command(
     split: str = "test",
     seed: int | None = None,
 ) -> None:
-    """Simulate a run's animals, and write their tracks as a table.
+    """Simulate a run's animals, and write their tracks as a table or as movement's netCDF.
 
-    There is a row for each frame and individual. Lengths are in the recordings' own unit where it
-    is known, as the names of the columns say (x_cm), and the middle of the arena is (0, 0).
-    `animarl import` reads the table.
+    A table has a row for each frame and individual, and netCDF a group for each rollout. Lengths
+    are in the recordings' own unit where it is known, as the names of the columns say (x_cm), and
+    the middle of the arena is (0, 0).
+    `animarl import` reads the file.
 
     Examples:
 
       animarl simulate runs/first --out tracks.csv
 
+      animarl simulate runs/first --out tracks.nc
+
       animarl simulate fly --split all --repetitions 5 --out tracks.parquet
     """
-    formats = f"{out}: the suffix says the format: choose {' or '.join(SUFFIXES)}"
-    require(out.suffix in SUFFIXES, formats)
+    formats = f"{out}: the suffix says the format: choose {', '.join(TRACK_FILES)}"
+    require(out.suffix in TRACK_FILES, formats)
     from animarl_algos.runs.pretrained import model_folder
     from animarl_algos.runs.run import Run
     from animarl_envs.demos.summary import unit_of
@@ -63,12 +63,5 @@ def simulate_command(
         }
         for start, repetition, condition in each
     ]
-    rows = track_rows(rollouts, heads, unit_of(run.demos))
-    if out.suffix == ".csv":
-        write_csv(out, rows)
-    else:
-        import pandas as pd
-
-        with write_then_rename(out) as part:
-            pd.DataFrame(rows).to_parquet(part)
+    write_tracks(out, rollouts, heads, unit_of(run.demos))
     PlainConsole().print(f"Wrote {out}: {len(rollouts)} rollouts")

@@ -14,6 +14,7 @@ import numpy as np
 from animarl_envs.errors import require, require_extra
 from animarl_envs.importing.clock import rate_of_rows, refuse_uneven_frames
 from animarl_envs.importing.hdf import hdf_keys, hdf_text, is_hdf, open_hdf, read_dataset
+from animarl_envs.importing.netcdf_io import Y_UP
 from animarl_envs.importing.readers.deeplabcut import read_dlc_table
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.table_layout import bare_unit
@@ -27,7 +28,7 @@ INDIVIDUALS, KEYPOINTS = ("individual", "individuals"), ("keypoint", "keypoints"
 @register_track_reader(
     "netcdf",
     "movement's datasets, saved by to_netcdf (.nc)",
-    sniff=lambda path: "position" in hdf_keys(path) or _is_classic(path),
+    sniff=lambda path: "position" in hdf_keys(path) or path.suffix == ".nc",
     extensions=(".nc",),
 )
 def read_netcdf(path: Path, fps: float | None = None) -> list[Tracks]:
@@ -38,48 +39,55 @@ def read_netcdf(path: Path, fps: float | None = None) -> list[Tracks]:
         "engine='h5netcdf')",
     )
     with open_hdf(path) as file:
-        values = read_dataset(path, file, "position")
-        scores = read_dataset(path, file, "confidence") if "confidence" in file else None
-        axes = _axes(path, file, "position")
-        own = [next((n for n in names if n in axes), "") for names in (INDIVIDUALS, KEYPOINTS)]
-        require(
-            {"time", "space", own[0]} <= set(axes) <= {"time", "space", *own},
-            f"{path}: position has the axes {', '.join(axes)}, not time, space, individuals and "
-            "keypoints: save the dataset as movement makes it",
-        )
-        names, points, space = (
-            [hdf_text(one) for one in read_dataset(path, file, axis)] if axis else [CENTROID]
-            for axis in (*own, "space")
-        )
-        order = [axis for axis in ("time", *own, "space") if axis]
-        values = values.transpose([axes.index(axis) for axis in order])
-        if scores is not None:
-            known = _axes(path, file, "confidence")
-            same = sorted(known) == sorted(order[:-1])
-            require(same, f"{path}: confidence has the axes {', '.join(known)}: save it again")
-            scores = scores.transpose([known.index(axis) for axis in order[:-1]])
-        time = read_dataset(path, file, "time")
-        seconds = hdf_text(file.attrs.get("time_unit", "frames")) == "seconds"
+        groups = [file] if "position" in file else [file[name] for name in file]
+        return [_netcdf_recording(path, group, fps) for group in groups]
+
+
+def _netcdf_recording(path: Path, file: Any, fps: float | None) -> Tracks:
+    """Read one dataset: the whole file, or a group of it."""
+    values = read_dataset(path, file, "position")
+    scores = read_dataset(path, file, "confidence") if "confidence" in file else None
+    axes = _axes(path, file, "position")
+    own = [next((n for n in names if n in axes), "") for names in (INDIVIDUALS, KEYPOINTS)]
+    require(
+        {"time", "space", own[0]} <= set(axes) <= {"time", "space", *own},
+        f"{path}: position has the axes {', '.join(axes)}, not time, space, individuals and "
+        "keypoints: save the dataset as movement makes it",
+    )
+    names, points, space = (
+        [hdf_text(one) for one in read_dataset(path, file, axis)] if axis else [CENTROID]
+        for axis in (*own, "space")
+    )
+    order = [axis for axis in ("time", *own, "space") if axis]
+    values = values.transpose([axes.index(axis) for axis in order])
+    if scores is not None:
+        known = _axes(path, file, "confidence")
+        same = sorted(known) == sorted(order[:-1])
+        require(same, f"{path}: confidence has the axes {', '.join(known)}: save it again")
+        scores = scores.transpose([known.index(axis) for axis in order[:-1]])
+    time = read_dataset(path, file, "time")
+    stated = {key: hdf_text(value) for key, value in file.attrs.items() if np.size(value) == 1}
+    seconds = stated.get("time_unit", "frames") == "seconds"
     require(
         space[:2] == ["x", "y"], f"{path}: its space is {', '.join(space)}, not x, y: save it again"
     )
     shape = (len(time), len(names), len(points))
     values = values.reshape(*shape, -1)
-    stated = rate_of_rows(path, time.astype(np.float64), lambda row: f"entry {row + 1} of time")
-    return [
-        Tracks(
-            recording=path.stem,
-            individuals=tuple(names),
-            keypoints=tuple(points),
-            positions=values[..., :2].astype(np.float64),
-            frame_rate=fps or (stated if seconds else None),
-            start_time=float(time[0]) if seconds else 0.0,
-            y_down=True,
-            confidence=None if scores is None else scores.reshape(shape).astype(np.float64),
-            provenance={"file": path.name, "tracker": "movement", "columns_not_used": space[2:]}
-            | ({RATE_FROM: "the coordinate time"} if seconds and fps is None else {}),
-        )
-    ]
+    rate = rate_of_rows(path, time.astype(np.float64), lambda row: f"entry {row + 1} of time")
+    return Tracks(
+        recording=stated.get("recording", path.stem),
+        individuals=tuple(names),
+        keypoints=tuple(points),
+        positions=values[..., :2].astype(np.float64),
+        frame_rate=fps or (rate if seconds else None),
+        start_time=float(time[0]) if seconds else 0.0,
+        y_down=stated.get("y_axis") != Y_UP,
+        unit=stated.get("space_unit", "px"),
+        condition=int(stated.get("condition_number", 0)),
+        confidence=None if scores is None else scores.reshape(shape).astype(np.float64),
+        provenance={"file": path.name, "tracker": "movement", "columns_not_used": space[2:]}
+        | ({RATE_FROM: "the coordinate time"} if seconds and fps is None else {}),
+    )
 
 
 def _is_classic(path: Path) -> bool:
@@ -91,7 +99,7 @@ def _axes(path: Path, file: Any, key: str) -> list[str]:
     """Return the names of a variable's axes, which are those of its dimension scales."""
     scales = [next(iter(axis.values()), None) for axis in file[key].dims]
     require(None not in scales, f"{path}: {key} does not say its axes: save it by to_netcdf")
-    return [str(scale.name).strip("/") for scale in scales]  # type: ignore[union-attr]
+    return [str(scale.name).rpartition("/")[2] for scale in scales]  # type: ignore[union-attr]
 
 
 @register_track_reader(
