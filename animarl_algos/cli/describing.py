@@ -1,7 +1,9 @@
 """Demonstrations and recipes in words, with units: what commands say of them, and hints."""
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.summary import (
     RESTING_SHARE,
+    condition_name,
     episode_table,
     outcome_name,
     persistence,
@@ -39,6 +42,9 @@ FAST_LENGTHS, FAST_CM = 8.0, 1500.0  # a second; few animals are faster, unless 
 MOST_DOUBTS = 4
 COMPARED = 1000  # frames by which individuals are compared
 CONSTANT = 0.05  # spread of a distance by its mean: that of parts of one body is less
+MOST_POINTS = 20_000  # by which the shape of the ground is judged
+CORRIDOR = 0.25  # width by length; wider is no corridor
+RING, SECTORS = 0.45, 36  # inner by outer radius; all directions from the middle are visited
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
@@ -47,16 +53,9 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     provenance, unit = demos.provenance, unit_of(demos)
     scale, speed_unit = unit.per_arena_unit, f"{unit.name}/s"
     seconds = (demos.lengths - 1) * demos.dt
-    names = demos.individuals
-    if demos.is_group:
-        individuals = f"{len(names)} that are alike, {names[0]} to {names[-1]}"
-    elif demos.has_goal:
-        individuals = ", ".join(f"{name} ({role})" for name, role in zip(names, demos.roles))
-    else:
-        individuals = ", ".join(names)
     rows = {
         "species": demos.species,
-        "individuals": individuals,
+        "individuals": _individuals(demos),
         "kind": "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals",
         "source": provenance["source"],
         "made by": provenance.get("command"),
@@ -94,7 +93,7 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     for condition in np.unique(demos.condition):
         outcome = demos.outcome[demos.condition == condition]
         codes, counts = np.unique(outcome, return_counts=True)
-        rows[f"outcomes, {_condition_name(condition, demos)}"] = ", ".join(
+        rows[f"outcomes, {condition_name(condition, demos)}"] = ", ".join(
             f"{outcome_name(code, demos)}: {count} ({count / len(outcome):.3f})"
             for code, count in zip(codes[::-1].tolist(), counts[::-1].tolist())
         )
@@ -106,6 +105,96 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     rows["frames flagged"] = ", ".join(tracking) or None
     rows["fingerprint"] = demos.fingerprint()
     return [(name, str(words)) for name, words in rows.items() if words is not None]
+
+
+def _individuals(demos: Demonstrations) -> str:
+    names = demos.individuals
+    if demos.is_group:
+        return f"{len(names)} that are alike, {names[0]} to {names[-1]}"
+    if demos.has_goal:
+        return ", ".join(f"{name} ({role})" for name, role in zip(names, demos.roles))
+    return ", ".join(names)
+
+
+def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
+    """Return what an import understood in six lines; guesses name the option that changes them."""
+    recipe: Mapping[str, Any] = demos.provenance.get("recipe", {})
+    scaling = recipe.get("scaling", {})
+    seconds, recordings = (demos.lengths - 1) * demos.dt, np.unique(demos.recording)
+    guesses = {
+        "animals": recipe.get("target") == "auto" and "--target NAME or none",
+        "unit": _unit_name(demos) == "px" and "--px-per-cm NUMBER gives cm",
+        "arena": not scaling.get("width")
+        and not scaling.get("units_per_arena_unit")
+        and "--arena square, disc or open, --arena-width LENGTH",
+        "split": recipe.get("splitting", {}).get("by") == "auto" and "--split-by, --split-seed",
+    }
+    rate = f"{describe_frame_rate(demos)}; an animal decides anew every {demos.dt:.4g} s"
+    if recipe.get("decision_rate") is None:
+        rate += " (--decision-rate HZ: less often, which is faster to learn)"
+    outside = float((~demos.arena.contains(demos.positions)).mean())
+    rows = {
+        "animals": f"{_individuals(demos)}; {counted(len(demos), 'episode')} of "
+        f"{counted(len(recordings), 'recording')}, {seconds.sum():.0f} s in all",
+        "rate": rate,
+        "unit": f"{_unit_name(demos)}; simulations count in arena units, half the arena's width",
+        "arena": f"{_arena(demos)}; {100 * outside:.2g} % of positions lie outside",
+        "conditions": _conditions(demos),
+        "split": "; ".join(f"{split} {_episodes_by_condition(demos, split)}" for split in SPLITS),
+    }
+    return [
+        (name, f"{words} (guessed: {guesses[name]})" if guesses.get(name) else words)
+        for name, words in rows.items()
+    ]
+
+
+def _conditions(demos: Demonstrations) -> str:
+    present = np.unique(demos.condition).tolist()
+    if len(present) == 1 and "conditions" not in demos.provenance:
+        return "one (--metadata TABLE or --name-pattern states two)"
+    return ", ".join(
+        f"{condition_name(one, demos)}: "
+        + counted(len(np.unique(demos.recording[demos.condition == one])), "recording")
+        for one in present
+    )
+
+
+def _episodes_by_condition(demos: Demonstrations, split: str) -> str:
+    """Return how many episodes a split has, and of which conditions and named animals."""
+    own, present = demos.split == split, np.unique(demos.condition).tolist()
+    found = [
+        f"{(own & (demos.condition == one)).sum()} of {condition_name(one, demos)}"
+        for one in present
+        if len(present) > 1
+    ]
+    animals = demos.provenance.get("animals", {})
+    if animals:
+        found.append(counted(len({animals.get(one) for one in demos.recording[own]}), "animal"))
+    return counted(int(own.sum()), "episode") + (f" ({', '.join(found)})" if found else "")
+
+
+def describe_ground(demos: Demonstrations) -> list[str]:
+    """Return whether the tracks keep to a corridor or a ring, which a simulated arena is not."""
+    unit, points = unit_of(demos), demos.positions.reshape(-1, 2)
+    points = points[:: len(points) // MOST_POINTS + 1]
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    low, high = np.quantile(points @ axes, (0.005, 0.995), axis=0)
+    short, long = sorted((unit.per_arena_unit * (high - low)).tolist())
+    if short < CORRIDOR * long:
+        return [
+            f"the tracks fill a corridor of {long:.3g} by {short:.3g} {unit.name}: simulated "
+            "animals have the whole arena, and may leave the corridor"
+        ]
+    from_middle = points - (points.min(axis=0) + points.max(axis=0)) / 2
+    inner, outer = np.quantile(np.linalg.norm(from_middle, axis=1), (0.01, 0.99))
+    angles = np.arctan2(from_middle[:, 1], from_middle[:, 0])
+    if inner > RING * outer and np.histogram(angles, SECTORS, (-math.pi, math.pi))[0].all():
+        inner, outer = unit.per_arena_unit * inner, unit.per_arena_unit * outer
+        return [
+            f"the tracks keep to a ring, {inner:.3g} to {outer:.3g} {unit.name} from its middle: "
+            "simulated animals have the whole arena, and may cross the middle"
+        ]
+    return []
 
 
 def describe_recipe(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
@@ -147,13 +236,6 @@ def _arena(demos: Demonstrations) -> str:
         span = " to ".join(dict.fromkeys(f"{size:.4g}" for size in (sizes[0], sizes[-1])))
         text += f"; an arena unit is {span} {_unit_name(demos)}"
     return text
-
-
-def _condition_name(condition: int, demos: Demonstrations) -> str:
-    names: Any = demos.provenance.get("conditions")
-    known = isinstance(names, list | tuple) and condition < len(names)
-    word = str(names[condition]) if known else ""
-    return f"condition {condition}" + (f" ({word})" if word not in ("", str(condition)) else "")
 
 
 def counted(number: int, noun: str) -> str:
@@ -203,7 +285,7 @@ def hints(demos: Demonstrations) -> list[str]:
     for split, count in counts.items():
         there = demos.condition[demos.split == split]
         known = np.unique(demos.condition)
-        missing = [_condition_name(one, demos) for one in known if one not in there]
+        missing = [condition_name(one, demos) for one in known if one not in there]
         if count and missing:
             dealt = len(np.unique(demos.recording[demos.split == split]))
             again = "deal again by another --split-seed, or " if dealt >= len(known) else ""
@@ -407,16 +489,35 @@ def _question_speed(demos: Demonstrations) -> str | None:
 # -- the terminal ---------------------------------------------------------------------------------
 
 
-def report(demos: Demonstrations, out: Path | None, plan: ImportRecipe | None) -> None:
-    """Show the demonstrations; write them, and the recipe that made them, if ``out`` is given."""
+def report(demos: Demonstrations, out: Path | None) -> None:
+    """Show the demonstrations; write them if ``out`` is given."""
     show(demos)
+    if out is not None:
+        demos.save(out)
+        wide_console().print(f"Wrote {out}")
+
+
+def report_import(demos: Demonstrations, out: Path | None, plan: ImportRecipe) -> None:
+    """Say what was understood, and what may have been missed; write results if ``out`` is given.
+
+    The results are the demonstrations, their picture, and the recipe that made them.
+    """
+    show_rows(demos.name, imported_at_a_glance(demos))
+    console = wide_console()
+    for hint in [*automatic_decisions(demos), *describe_ground(demos), *hints(demos)]:
+        console.print(f"hint: {hint}")
     if out is None:
         return
+    from animarl_envs.drawing.summary_figure import plot_summary
+
     demos.save(out)
-    console = wide_console()
-    console.print(f"Wrote {out}")
-    if plan is not None:
-        console.print(f"Wrote {plan.save(out.with_suffix('.recipe.yaml'))}, which repeats it")
+    recipe = plan.save(out.with_suffix(".recipe.yaml"))
+    written = f"Wrote {out}; {recipe.name}, which repeats it"
+    if find_spec("matplotlib") is not None:
+        picture = plot_summary(demos, out.with_suffix(".png"))
+        written += f"; {picture.name}, its tracks: look at it"
+    console.print(written)
+    console.print(f"Next: animarl run {shlex.quote(str(out))} --out runs/{shlex.quote(out.stem)}")
 
 
 def show(demos: Demonstrations) -> None:

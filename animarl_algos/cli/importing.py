@@ -13,11 +13,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from animarl_algos.cli.describing import (
-    automatic_decisions,
-    describe_frame_rate,
     describe_recipe,
-    hints,
     report,
+    report_import,
     show_rows,
     wide_console,
 )
@@ -120,7 +118,7 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
         finished = read(files[0], reader.name, **parse_settings(given["option"], "--option"))
         if (condition := given["condition"]) is not None:
             finished = replace(finished, condition=np.full(len(finished), condition, dtype=np.int8))
-        report(finished, None if dry_run else out, None)
+        report(finished, None if dry_run else out)
         return
     plan = _plan(given, reader)
     with Progress(transient=True, console=Console(stderr=True)) as bar:
@@ -131,15 +129,11 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
             bar.update(task, completed=share, description=doing)
 
         demos = follow(plan, files, advance)
-    wide_console().print(describe_frame_rate(demos))
     if dry_run:
         show_rows("What is understood", describe_recipe(plan, reader.name, files))
-    report(demos, None if dry_run else out, plan)
-    console = wide_console()
-    for hint in [*automatic_decisions(demos), *hints(demos)]:
-        console.print(f"hint: {hint}")
+    report_import(demos, None if dry_run else out, plan)
     if dry_run:
-        console.print("Dry run: nothing was written.")
+        wide_console().print("Dry run: nothing was written.")
 
 
 def _refuse_beside_finished(file: Path, context: typer.Context) -> None:

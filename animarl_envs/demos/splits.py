@@ -1,7 +1,7 @@
 """Dealing episodes to train, validation and test without leakage."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -47,7 +47,10 @@ class Splitting(Checked):
 
 def deal(demos: Demonstrations, settings: Splitting) -> Demonstrations:
     """Return the same episodes, dealt anew to train, val and test."""
-    return replace(demos, split=split_recordings(demos.recording, settings))
+    animals: Mapping[str, str] = demos.provenance.get("animals", {})
+    return replace(
+        demos, split=split_recordings(demos.recording, settings, demos.condition, animals)
+    )
 
 
 def learnable(demos: Demonstrations) -> Demonstrations:
@@ -87,11 +90,13 @@ def refuse_empty_splits(demos: Demonstrations) -> None:
 def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
     """Yield the demonstrations once per fold: each episode is test once, val once, else train.
 
-    Episodes of a recording stay together, unless there are fewer than three recordings. Whatever
+    Episodes of a recording, and of an animal that is named, stay together, unless there are fewer
+    than three of them. Whatever
     the split was before is not asked. Raises InputError if there are fewer than three folds, or
     fewer recordings (or episodes) than folds.
     """
-    dealt = demos.recording
+    animals: Mapping[str, str] = demos.provenance.get("animals", {})
+    dealt = np.array([animals.get(name, name) for name in demos.recording.tolist()])
     if len(np.unique(dealt)) < FEWEST_RECORDINGS:
         dealt = np.arange(len(demos)).astype(str)
     names = np.random.default_rng(0).permutation(np.unique(dealt))
@@ -108,12 +113,22 @@ def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstration
         yield replace(demos, split=split)
 
 
-def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArray[np.str_]:
-    """Return the split of each episode, from the recording it belongs to."""
+def split_recordings(
+    recording: NDArray[np.str_],
+    settings: Splitting,
+    condition: NDArray[np.integer] | None = None,
+    animals: Mapping[str, str] | None = None,
+) -> NDArray[np.str_]:
+    """Return the split of each episode, from the recording it belongs to.
+
+    Each ``condition`` is dealt by itself. Recordings of the same of ``animals``, by recording, stay
+    together.
+    """
     by = settings.by
+    animal = np.array([(animals or {}).get(name, name) for name in recording.tolist()])
     if by == "auto":
-        by = "recording" if len(np.unique(recording)) >= FEWEST_RECORDINGS else "episode"
-    groups = recording
+        by = "recording" if len(np.unique(animal)) >= FEWEST_RECORDINGS else "episode"
+    groups = animal
     if by == "episode":
         groups = np.array([f"{i:06d}" for i in range(len(recording))])
     elif by == "group":
@@ -126,7 +141,28 @@ def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArra
                 f"{place} does not fit every recording or has no (group): write one that does"
             )
         groups = np.array(first)
-    return assign_splits(groups, settings.seed, settings.fractions)
+    return _stratified_splits(groups, settings, condition)
+
+
+def _stratified_splits(
+    groups: NDArray[np.str_], settings: Splitting, condition: NDArray[np.integer] | None
+) -> NDArray[np.str_]:
+    """Return splits in which every condition has its share of each.
+
+    Groups of several conditions are dealt by themselves. Where a condition has too few groups for
+    three splits, all are dealt together.
+    """
+    strata = {name: set[int]() for name in groups.tolist()}
+    for name, one in zip(groups.tolist(), [0] * len(groups) if condition is None else condition):
+        strata[name].add(int(one))
+    kinds = np.array([str(sorted(strata[name])) for name in groups.tolist()])
+    dealt = np.full(len(groups), SPLITS[0])
+    for kind in np.unique(kinds):
+        own = kinds == kind
+        if len(np.unique(groups[own])) < FEWEST_RECORDINGS:
+            return assign_splits(groups, settings.seed, settings.fractions)
+        dealt[own] = assign_splits(groups[own], settings.seed, settings.fractions)
+    return dealt
 
 
 def assign_splits(

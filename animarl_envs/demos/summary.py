@@ -37,6 +37,14 @@ def outcome_name(outcome: int, demos: Episodes) -> str:
     return OUTCOME_NAMES.get(outcome, "recording ended")
 
 
+def condition_name(condition: int, demos: Demonstrations) -> str:
+    """Return the number of a condition, and its name where the recordings state one."""
+    names: Any = demos.provenance.get("conditions")
+    known = isinstance(names, list | tuple) and condition < len(names)
+    word = str(names[condition]) if known else ""
+    return f"condition {condition}" + (f" ({word})" if word not in ("", str(condition)) else "")
+
+
 def ending_in_words(outcome: int, individuals: Sequence[str], roles: Sequence[str]) -> str:
     """Return who reached whom, or who left the arena; empty if neither ended the episode."""
     if outcome > 0:

@@ -96,6 +96,7 @@ def demonstrations_from_tracks(
     def joined(key: str, kind: Any = None) -> NDArray[Any]:
         return np.array([one[key] for one in episodes], dtype=kind)
 
+    animals = sessions.animals([one.recording for one in cleaned])
     length = body_length(marked)
     per_cm = sessions.of(named[0].recording).px_per_cm or recipe.scaling.px_per_cm or 1.0
     rate = recipe.decision_rate or scaled[0].frame_rate
@@ -113,7 +114,9 @@ def demonstrations_from_tracks(
         initial_velocity=joined("initial_velocity"),
         condition=joined("condition", np.int8),
         outcome=joined("outcome", np.int8),
-        split=sessions.splits(joined("recording"), recipe.splitting),
+        split=sessions.splits(
+            joined("recording"), recipe.splitting, joined("condition", np.int8), animals
+        ),
         recording=joined("recording"),
         signals={
             key: np.concatenate([one["signals"][key] for one in episodes])
@@ -131,6 +134,7 @@ def demonstrations_from_tracks(
             "ends": _ends(cutting, scaled, joined("outcome")),
             "frame_rate": _stated_rates(recordings, recipe),
             **notes,
+            **({"animals": animals} if animals else {}),
             **({} if length is None else {"body_length": length / (scales[0].unit * per_cm)}),
             **({"lost": dict(total)} if (total := sum(map(Counter, lost), Counter())) else {}),
             **({} if most == len(individuals) else {"animals_tracked": most}),

@@ -27,6 +27,9 @@ from animarl_envs.settings import Checked, NotNegative, Positive, PositiveOrInfi
 
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
 MOST_LISTED_JUMPS = 20
+FEWER_THAN = 1000  # points to one outlier of the extent of an arena
+EMPTY_RING = 3.0  # times the distance of the others from the middle: nothing lies between
+LEAST_POINTS = 100  # by which an outlier is told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,6 +302,9 @@ class Scaling(Checked):
         None, "centre", "Centre x,y of the arena in the file's unit; default: found."
     )
     each: bool = option(False, "scale_each", "Scale each recording by its own extent.")
+    centre_each: bool = option(
+        False, "centre_each", "Each recording has its own centre, as where the camera was moved."
+    )
     px_per_cm: Positive | None = option(
         None,
         "px_per_cm",
@@ -353,10 +359,25 @@ def scales_of(
 
     ``searched`` says that a source is at the origin, which then stays in its place.
     """
-    if settings.each:
-        return [scale_of([tracks], settings, searched) for tracks in recordings]
+    if settings.each or settings.centre_each:
+        own = [scale_of([tracks], settings, searched) for tracks in recordings]
+        widest = max(one.unit for one in own)
+        return own if settings.each else [replace(one, unit=widest) for one in own]
     common = scale_of(recordings, settings, searched)
     return [replace(common, y_sign=-1.0 if one.y_down else 1.0) for one in recordings]
+
+
+def far_outliers(points: Floats) -> NDArray[np.bool_]:
+    """Return which of ``(points, 2)`` are so few and far away that they say nothing of the arena.
+
+    They are one, or a thousandth of all, and nothing lies between the others and
+    :data:`EMPTY_RING` times their distance from the middle.
+    """
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    ordered = np.sort(away)[-(len(away) // FEWER_THAN) - 2 :]
+    gaps = np.flatnonzero((ordered[1:] > EMPTY_RING * ordered[:-1]) & (ordered[:-1] > 0))
+    enough = len(away) >= LEAST_POINTS and len(gaps) > 0
+    return away > ordered[gaps[0]] if enough else np.zeros(len(away), dtype=bool)
 
 
 def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = False) -> Scale:
@@ -372,6 +393,7 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
         f"{first.recording}: no individual was ever tracked: check the file, "
         "or lower --min-confidence",
     )
+    points = points[~far_outliers(points)]
     x, y = (points.min(axis=0) + points.max(axis=0)) / 2
     centre = settings.centre or (float(x), float(y))
     if is_open and settings.units_per_arena_unit is not None:

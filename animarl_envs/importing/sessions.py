@@ -24,8 +24,8 @@ from animarl_envs.importing.tracks import Tracks
 from animarl_envs.settings import check_names
 from animarl_envs.wall import search_names
 
-COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")
-GROUPS = ("condition", "split", "target")
+COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm", "animal")
+GROUPS = ("condition", "split", "target", "animal")
 TARGET, PURSUER = "target", "pursuer"
 OTHER_ROLE = {TARGET: PURSUER, PURSUER: TARGET}  # the role of the others, where one has this role
 AUTO = "auto"
@@ -37,6 +37,7 @@ class Session:
 
     ``condition`` is the word that stands there. ``roles`` are individuals by name with ``pursuer``
     or ``target``, the others are left out. ``px_per_cm`` is how many of the file's units make 1 cm.
+    ``animal`` is the animal, pair or litter, whose recordings stay in one split.
     """
 
     condition: str | None = None
@@ -44,6 +45,7 @@ class Session:
     target: str | None = None
     roles: Mapping[str, str] = field(default_factory=dict)
     px_per_cm: float | None = None
+    animal: str | None = None
 
 
 @dataclass(frozen=True)
@@ -82,16 +84,26 @@ class Sessions:
         """Whether the role of any individual is stated."""
         return any(one.roles or one.target for one in (self.by_recording or {}).values())
 
-    def splits(self, recording: NDArray[np.str_], splitting: Splitting) -> NDArray[np.str_]:
+    def splits(
+        self,
+        recording: NDArray[np.str_],
+        splitting: Splitting,
+        condition: NDArray[np.int8],
+        animals: Mapping[str, str],
+    ) -> NDArray[np.str_]:
         """Return the split of each episode: as stated for its recording, else dealt."""
         stated = [self.of(name).split for name in recording.tolist()]
         free = np.array([split is None for split in stated])
-        if free.all():
-            return split_recordings(recording, splitting)
         dealt = np.array([split or SPLITS[0] for split in stated])
         if free.any():
-            dealt[free] = split_recordings(recording[free], splitting)
+            own = recording[free], splitting, condition[free], animals
+            dealt[free] = split_recordings(*own)
         return dealt
+
+    def animals(self, recordings: Sequence[str]) -> dict[str, str]:
+        """Return the animal of each recording of which one is stated."""
+        known = {name: self.of(name).animal for name in recordings}
+        return {name: animal for name, animal in known.items() if animal is not None}
 
     def apply(self, tracks: Tracks) -> Tracks:
         """Return the recording with its condition and the individuals that have a role."""
@@ -224,6 +236,7 @@ def _session(row: Mapping[str, str], place: str) -> Session:
         target=known.get("target"),
         roles={individual: role} if individual and role else {},
         px_per_cm=px_per_cm,
+        animal=known.get("animal"),
     )
 
 
