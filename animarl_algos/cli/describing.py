@@ -162,15 +162,15 @@ def _conditions(demos: Demonstrations) -> str:
 def _episodes_by_condition(demos: Demonstrations, split: str) -> str:
     """Return how many episodes a split has, and of which conditions and named animals."""
     own, present = demos.split == split, np.unique(demos.condition).tolist()
-    found = [
+    parts = [
         f"{(own & (demos.condition == one)).sum()} of {condition_name(one, demos)}"
         for one in present
         if len(present) > 1
     ]
     animals = demos.provenance.get("animals", {})
     if animals:
-        found.append(counted(len({animals.get(one) for one in demos.recording[own]}), "animal"))
-    return counted(int(own.sum()), "episode") + (f" ({', '.join(found)})" if found else "")
+        parts.append(counted(len({animals.get(one) for one in demos.recording[own]}), "animal"))
+    return counted(int(own.sum()), "episode") + (f" ({', '.join(parts)})" if parts else "")
 
 
 def describe_ground(demos: Demonstrations) -> list[str]:

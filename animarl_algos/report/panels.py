@@ -320,7 +320,7 @@ def _histograms(
         names = [f"{label}{side}" for side in sides.both]
         colour = (colours or {}).get(label, style.BLUE.hex)
         fill = style.FILL.hex if len(samples) == 1 else colour
-        found = figures.draw_histograms(
+        densities = figures.draw_histograms(
             ax,
             recorded,
             simulated,
@@ -331,7 +331,7 @@ def _histograms(
             dashes=style.DASHES[place],
         )
         bins = {"low": edges[:-1], "high": edges[1:]}
-        tables.append(pd.DataFrame(bins | dict(zip(names, found))))
+        tables.append(pd.DataFrame(bins | dict(zip(names, densities))))
     ax.set(xlabel=axis, ylabel="Density", xlim=(edges[0], edges[-1]))
     ax.legend(loc="best")
     return pd.concat([tables[0], *(one.iloc[:, 2:] for one in tables[1:])], axis=1)

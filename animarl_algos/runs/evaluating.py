@@ -365,11 +365,11 @@ def figure_sides(run: Run) -> Sides:
         return Sides(run.demos.select(split="test"), run.simulate())
     folds = run_set.trained_folds(run)
     rollouts = run_set.joined_rollouts(folds) if folds else run.rollouts()
-    found = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
+    runs = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
     verdict = None
     if (run.path / "evaluation" / "verdict.json").exists():
         verdict = Verdict.load(run.path / "evaluation")
-    return Sides(found.test, rollouts[found.learner], verdict)
+    return Sides(runs.test, rollouts[runs.learner], verdict)
 
 
 def report_inputs(

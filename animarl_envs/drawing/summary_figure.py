@@ -54,12 +54,14 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
         )
         for part, condition, (count, names), num in zip(parts, conditions, chosen, rows):
             if len(conditions) > 1 or len(names) < count:
-                shown = f", {len(names)} of them drawn" if len(names) < count else ""
+                part_of = f", {len(names)} of them drawn" if len(names) < count else ""
                 noun = "recording" if count == 1 else "recordings"
                 named = (
                     summary.condition_name(condition, demos) + ": " if len(conditions) > 1 else ""
                 )
-                part.suptitle(f"{named}{count} {noun}{shown}", fontsize="medium", ha="left", x=0.01)
+                part.suptitle(
+                    f"{named}{count} {noun}{part_of}", fontsize="medium", ha="left", x=0.01
+                )
             _draw_recordings(part, demos, unit, condition, names, num)
         panels = parts[-1].subplots(below, 3, squeeze=False).ravel()
         for axes, draw in zip(panels, tables):
