@@ -1,6 +1,6 @@
 """Panels for papers: recorded against simulated animals, each drawn on any axes.
 
-A panel is a function of axes and of :class:`Sides`; it draws, and returns what it drew as a table.
+A panel is a function of axes and of :class:`SideBySide`; it draws, and returns what it drew as a table.
 :func:`draw_panels` sets several in one figure of a journal's width, and
 :func:`write_panels` saves it, with the table of each panel beside it.
 """
@@ -54,7 +54,7 @@ PAPER: dict[str, Any] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class SideBySide:
     """Recordings and the rollouts from their starts, as panels take them.
 
     Both are compared as the verdict compares them: rollouts in the recorded condition, cut where
@@ -98,7 +98,7 @@ class Sides:
         return list(Series.of(self.both[side], self._prepared.rest))
 
 
-def paths(ax: Axes, sides: Sides) -> pd.DataFrame:
+def paths(ax: Axes, sides: SideBySide) -> pd.DataFrame:
     """Draw the recording whose rollout is the median one by DTW distance, and that rollout."""
     name, simulated = next(iter(sides.both)), sides.both[SIMULATED]
     distances = dtw_alignments(simulated, sides.demos)[0].mean(axis=1)
@@ -129,7 +129,7 @@ def paths(ax: Axes, sides: Sides) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def speeds(ax: Axes, sides: Sides) -> pd.DataFrame:
+def speeds(ax: Axes, sides: SideBySide) -> pd.DataFrame:
     """Draw the distribution of the speed of every step, those of a target apart."""
     roles, factor = np.array(sides.demos.roles), sides.words.unit.per_arena_unit
     samples, colours = {}, {}
@@ -140,7 +140,7 @@ def speeds(ax: Axes, sides: Sides) -> pd.DataFrame:
     return _histograms(ax, sides, samples, f"Speed ({sides.words.speed})", colours)
 
 
-def turning(ax: Axes, sides: Sides) -> pd.DataFrame:
+def turning(ax: Axes, sides: SideBySide) -> pd.DataFrame:
     """Draw the distribution of turns between successive steps of moving animals, left above 0."""
     turns = [
         np.degrees(np.concatenate([one.turn.ravel() for one in sides.series(side)]))
@@ -152,7 +152,7 @@ def turning(ax: Axes, sides: Sides) -> pd.DataFrame:
     return _histograms(ax, sides, {"": turns}, axis, edges=edges)
 
 
-def bouts(ax: Axes, sides: Sides) -> pd.DataFrame:
+def bouts(ax: Axes, sides: SideBySide) -> pd.DataFrame:
     """Draw which share of bouts of motion, and of rests, lasts longer than a time."""
     tables, dt = [], sides.demos.dt
     for kind, colour, dashes in (
@@ -191,7 +191,7 @@ def bouts(ax: Axes, sides: Sides) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def neighbours(ax: Axes, sides: Sides) -> pd.DataFrame:
+def neighbours(ax: Axes, sides: SideBySide) -> pd.DataFrame:
     """Draw the distribution of the distance to the nearest other animal, in every frame."""
     require(sides.demos.num_individuals > 1, "neighbours: there is one animal, so leave it out")
     factor, unit = sides.words.unit.per_arena_unit, sides.words.unit.name
@@ -202,7 +202,7 @@ def neighbours(ax: Axes, sides: Sides) -> pd.DataFrame:
     return _histograms(ax, sides, {"": near}, f"Distance to the nearest other ({unit})")
 
 
-def verdict(ax: Axes, sides: Sides) -> pd.DataFrame:
+def verdict(ax: Axes, sides: SideBySide) -> pd.DataFrame:
     """Draw the difference of every question of the verdict in units of its tolerance."""
     if sides.verdict is None:
         raise InputError("verdict: the run has none: make it with 'animarl evaluate RUN'")
@@ -213,13 +213,13 @@ def verdict(ax: Axes, sides: Sides) -> pd.DataFrame:
     return pd.DataFrame(rows[::-1], columns=columns)
 
 
-Panel = Callable[["Axes", Sides], pd.DataFrame]
+Panel = Callable[["Axes", SideBySide], pd.DataFrame]
 PANELS: dict[str, Panel] = {
     one.__name__: one for one in (paths, speeds, turning, bouts, neighbours, verdict)
 }
 
 
-def fitting_panels(sides: Sides) -> list[str]:
+def fitting_panels(sides: SideBySide) -> list[str]:
     """Return the names of the panels that can be drawn."""
     missing = {"neighbours"} if sides.demos.num_individuals == 1 else set()
     if sides.verdict is None:
@@ -241,7 +241,7 @@ def width_in_mm(given: str) -> float:
 
 
 def draw_panels(
-    sides: Sides, names: Sequence[str], width: float
+    sides: SideBySide, names: Sequence[str], width: float
 ) -> tuple[Figure, dict[str, pd.DataFrame]]:
     """Return a figure of that width [mm] with these panels, and the table of each.
 
@@ -282,7 +282,7 @@ def draw_panels(
 
 
 def write_panels(
-    sides: Sides, names: Sequence[str], out: str | Path, width: float = WIDTHS["double"]
+    sides: SideBySide, names: Sequence[str], out: str | Path, width: float = WIDTHS["double"]
 ) -> list[Path]:
     """Write the figure of these panels to ``out``, the table of each beside it, and return all.
 
@@ -305,7 +305,7 @@ def write_panels(
 
 def _histograms(
     ax: Axes,
-    sides: Sides,
+    sides: SideBySide,
     samples: Mapping[str, Sequence[Floats]],
     axis: str,
     colours: Mapping[str, str] | None = None,

@@ -25,7 +25,7 @@ from animarl_algos.learner.progress import progress_display
 from animarl_algos.losses.terms import Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
-from animarl_algos.report.panels import Sides
+from animarl_algos.report.panels import SideBySide
 from animarl_algos.report.run_page import run_page
 from animarl_algos.runs import run_set
 from animarl_algos.runs.run import Run, method_name
@@ -356,20 +356,20 @@ def evaluate_runs(
     return evaluated
 
 
-def figure_sides(run: Run) -> Sides:
+def figure_sides(run: Run) -> SideBySide:
     """Return recordings and rollouts of a run for its figures.
 
     These are its saved rollouts and verdict where it was evaluated; else it is simulated.
     """
     if not (run.path / "rollouts").is_dir():
-        return Sides(run.demos.select(split="test"), run.simulate())
+        return SideBySide(run.demos.select(split="test"), run.simulate())
     folds = run_set.trained_folds(run)
     rollouts = run_set.joined_rollouts(folds) if folds else run.rollouts()
     runs = EvaluatedRuns(run_set.RunSet.of(run), rollouts, folds)
     verdict = None
     if (run.path / "evaluation" / "verdict.json").exists():
         verdict = Verdict.load(run.path / "evaluation")
-    return Sides(runs.test, rollouts[runs.learner], verdict)
+    return SideBySide(runs.test, rollouts[runs.learner], verdict)
 
 
 def report_inputs(

@@ -20,14 +20,14 @@ BEGIN = {"pdf": b"%PDF", "svg": b"<?xml", "png": b"\x89PNG"}
 
 
 @pytest.fixture(scope="module")
-def sides() -> panels.Sides:
+def sides() -> panels.SideBySide:
     inputs = report_inputs()
-    return panels.Sides(inputs.demos, inputs.rollouts["dqdil"], inputs.evaluation.verdict)
+    return panels.SideBySide(inputs.demos, inputs.rollouts["dqdil"], inputs.evaluation.verdict)
 
 
 @pytest.mark.parametrize("kind", BEGIN)
 def test_a_figure_has_the_table_of_each_panel_beside_it(
-    kind: str, sides: panels.Sides, tmp_path: Path
+    kind: str, sides: panels.SideBySide, tmp_path: Path
 ) -> None:
     names = panels.fitting_panels(sides) if kind == "pdf" else ["speeds", "verdict"]
     out, again = tmp_path / f"fig.{kind}", tmp_path / f"again.{kind}"
@@ -38,7 +38,7 @@ def test_a_figure_has_the_table_of_each_panel_beside_it(
     assert out.read_bytes() == again.read_bytes() and out.read_bytes().startswith(BEGIN[kind])
 
 
-def test_a_figure_has_the_width_of_the_journal(sides: panels.Sides) -> None:
+def test_a_figure_has_the_width_of_the_journal(sides: panels.SideBySide) -> None:
     for given, width in (("single", 89.0), ("double", 183.0), ("120", 120.0)):
         figure, _ = panels.draw_panels(sides, ["speeds", "turning"], panels.width_in_mm(given))
         assert figure.get_figwidth() * 25.4 == pytest.approx(width)
@@ -46,7 +46,9 @@ def test_a_figure_has_the_width_of_the_journal(sides: panels.Sides) -> None:
         refuses("give single, double", panels.width_in_mm, wrong)
 
 
-def test_a_figure_panel_draws_on_any_axes_the_numbers_that_it_returns(sides: panels.Sides) -> None:
+def test_a_figure_panel_draws_on_any_axes_the_numbers_that_it_returns(
+    sides: panels.SideBySide,
+) -> None:
     ax = Figure().subplots()
     table = panels.turning(ax, sides)
     width = table["high"] - table["low"]
@@ -66,7 +68,7 @@ def test_bouts_of_a_figure_are_counted_whole() -> None:
     assert stretches(moving).tolist() == [2, 1, 5] and stretches(~moving).tolist() == [1, 2, 1]
 
 
-def test_a_figure_that_cannot_be_drawn_is_refused(sides: panels.Sides, tmp_path: Path) -> None:
+def test_a_figure_that_cannot_be_drawn_is_refused(sides: panels.SideBySide, tmp_path: Path) -> None:
     refuses("'wings' is unknown", panels.draw_panels, sides, ["wings"], 89.0)
     refuses("choose .pdf", panels.write_panels, sides, ["speeds"], tmp_path / "fig.gif")
     bare = dataclasses.replace(sides, verdict=None)
