@@ -1,7 +1,7 @@
 """Panels for papers: recorded against simulated animals, each drawn on any axes.
 
-A panel is a function of axes and of :class:`SideBySide`; it draws, and returns what it drew as a table.
-:func:`draw_panels` sets several in one figure of a journal's width, and
+A panel is a function of axes and of :class:`SideBySide`; it draws, and returns what it drew as a
+table. :func:`draw_panels` sets several in one figure of a journal's width, and
 :func:`write_panels` saves it, with the table of each panel beside it.
 """
 

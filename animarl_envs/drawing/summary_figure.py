@@ -147,7 +147,7 @@ def _tables(demos: Demonstrations) -> list[Any]:
 
 
 def _draw_durations(axes: Any, demos: Demonstrations, unit: summary.Unit) -> None:
-    _histogram(axes, [(demos.lengths - 1) * demos.dt], [GREY])
+    _histogram(axes, [((demos.lengths - 1) * demos.dt).tolist()], [GREY])
     axes.set(title="Duration", xlabel="s", ylabel="episodes")
 
 
@@ -170,7 +170,7 @@ def _draw_speeds(axes: Any, demos: Demonstrations, unit: summary.Unit) -> None:
     axes.set(title="Speed", xlabel=f"{unit.name} / s", ylabel="% of the time")
 
 
-def _histogram(axes: Any, values: Sequence[Sequence[float] | Floats], tints: Sequence[str]) -> None:
+def _histogram(axes: Any, values: Sequence[Sequence[float]], tints: Sequence[str]) -> None:
     every = np.concatenate(values)
     top = max(float(every.max()), 1e-9)
     bins = np.linspace(0.0, top, min(30, max(8, round(math.sqrt(len(every)) * 1.5))) + 1)

@@ -46,7 +46,7 @@ def test_a_figure_has_the_width_of_the_journal(sides: panels.SideBySide) -> None
         refuses("give single, double", panels.width_in_mm, wrong)
 
 
-def test_a_figure_panel_draws_on_any_axes_the_numbers_that_it_returns(
+def test_a_figure_panel_draws_on_any_axes_what_it_returns(
     sides: panels.SideBySide,
 ) -> None:
     ax = Figure().subplots()
