@@ -68,10 +68,7 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
         "in total": f"{seconds.sum():.1f} s ({seconds.sum() / 60:.1f} min)",
         "arena": _arena(demos),
     }
-    keypoints = provenance.get("keypoints", [])
-    if len(keypoints) > 1:
-        used = {str(one.get("keypoint")) for one in _cleaning(demos).values()}
-        rows["keypoints"] = f"{', '.join(keypoints)}; used: {', '.join(used)}"
+    rows["keypoints"] = _keypoints(demos)
     speeds = scale * np.linalg.norm(demos.velocities(), axis=2)
     for name, own in zip(demos.kinds, np.split(speeds, len(demos.kinds), axis=1), strict=True):
         top = np.quantile(own, 0.99)
@@ -107,6 +104,13 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     return [(name, str(words)) for name, words in rows.items() if words is not None]
 
 
+def _keypoints(demos: Demonstrations) -> str | None:
+    """Return which keypoints there are, and which is the position; None where there is one."""
+    keypoints = demos.provenance.get("keypoints", [])
+    used = {str(one.get("keypoint")) for one in _cleaning(demos).values()}
+    return f"{', '.join(keypoints)}; used: {', '.join(used)}" if len(keypoints) > 1 else None
+
+
 def _individuals(demos: Demonstrations) -> str:
     names = demos.individuals
     if demos.is_group:
@@ -122,12 +126,14 @@ def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
     scaling = recipe.get("scaling", {})
     seconds, recordings = (demos.lengths - 1) * demos.dt, np.unique(demos.recording)
     guesses = {
-        "animals": recipe.get("target") == "auto" and "--target NAME or none",
+        "animals": recipe.get("target") == "auto"
+        and not demos.provenance.get("roles_stated")
+        and "--target NAME or none",
         "unit": _unit_name(demos) == "px" and "--px-per-cm NUMBER gives cm",
         "arena": not scaling.get("width")
         and not scaling.get("units_per_arena_unit")
         and "--arena square, disc or open, --arena-width LENGTH",
-        "split": recipe.get("splitting", {}).get("by") == "auto" and "--split-by, --split-seed",
+        "split": recipe.get("splitting", {}).get("by") == "auto" and "--split-by",
     }
     rate = f"{describe_frame_rate(demos)}; an animal decides anew every {demos.dt:.4g} s"
     if recipe.get("decision_rate") is None:
@@ -135,9 +141,11 @@ def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
     outside = float((~demos.arena.contains(demos.positions)).mean())
     rows = {
         "animals": f"{_individuals(demos)}; {counted(len(demos), 'episode')} of "
-        f"{counted(len(recordings), 'recording')}, {seconds.sum():.0f} s in all",
+        f"{counted(len(recordings), 'recording')}, {seconds.sum():.0f} s in all"
+        + (f"; keypoints {points} (--keypoint)" if (points := _keypoints(demos)) else ""),
         "rate": rate,
-        "unit": f"{_unit_name(demos)}; simulations count in arena units, half the arena's width",
+        "unit": f"{_unit_name(demos)}; {_median_speeds(demos)}; simulations count in arena units, "
+        "half the arena's width",
         "arena": f"{_arena(demos)}; {100 * outside:.2g} % of positions lie outside",
         "conditions": _conditions(demos),
         "split": "; ".join(f"{split} {_episodes_by_condition(demos, split)}" for split in SPLITS),
@@ -146,6 +154,14 @@ def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
         (name, f"{words} (guessed: {guesses[name]})" if guesses.get(name) else words)
         for name, words in rows.items()
     ]
+
+
+def _median_speeds(demos: Demonstrations) -> str:
+    unit = unit_of(demos)
+    speeds = unit.per_arena_unit * np.linalg.norm(demos.velocities(), axis=2)
+    each = zip(demos.kinds, np.split(speeds, len(demos.kinds), axis=1), strict=True)
+    medians = ", ".join(f"{name} {np.median(own):.3g}" for name, own in each)
+    return f"median speed of {medians} {unit.name}/s"
 
 
 def _conditions(demos: Demonstrations) -> str:
