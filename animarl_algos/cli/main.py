@@ -99,6 +99,7 @@ COMMANDS = {
     "watch": Place("watch", "watch_command"),
     "simulate": Place("simulate", "simulate_command"),
     "figure": Place("figure", "figure_command"),
+    "open": Place("opening", "open_command"),
     "compile": Place("main", "compile_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
     "paper": Place("paper", "paper_command"),

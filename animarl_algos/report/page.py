@@ -191,20 +191,13 @@ class Page:
 
     def html(self) -> str:
         """Return the page as HTML."""
-        environment = Environment(
-            loader=FileSystemLoader(TEMPLATES),
-            autoescape=True,
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
         parts = [(TEMPLATES / name).read_text(encoding="utf-8").strip() for name in SCRIPTS]
         # One function, so that no name is left behind; the browser lets the page run it alone.
         program = "\n".join(["(() => {", '"use strict";', *parts, "})();"])
         digest = base64.b64encode(hashlib.sha256(f"\n{program}\n".encode()).digest()).decode()
-        return environment.get_template("page.html.j2").render(
+        return render(
+            "page.html.j2",
             page=self,
-            colours=[(c.name, to_hex(c.light), to_hex(c.dark)) for c in COLOURS],
             player_data=None if self.player is None else as_data(self.player.data),
             script=program,
             policy=POLICY.format(digest=digest),
@@ -228,6 +221,19 @@ class Page:
             for place, image in enumerate(images, start=1):
                 words = re.sub(r"[^a-z0-9]+", "-", image.alt.casefold()).strip("-")
                 yield f"{section.anchor}-{place:02d}-{words[:LONGEST_NAME].rstrip('-')}", image
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a template as HTML, with the colours of all pages; values are escaped."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    colours = [(c.name, to_hex(c.light), to_hex(c.dark)) for c in COLOURS]
+    return environment.get_template(template).render(colours=colours, **values)
 
 
 def write_page(page: Page, path: Path) -> Path:
