@@ -18,7 +18,7 @@ from animarl_algos.recipes.registry import RECIPES, named_recipe
 
 
 def test_the_readme_and_its_moving_picture_are_small() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
     assert 50_000 < (ROOT / "docs" / "images" / "demo.gif").stat().st_size < 2_000_000
 
 
