@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 WIDTH = 128
 SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts", "acting")
 """Options that are None where they are not given."""
+QUICK = {"thrusts": "1", "acting": "boltzmann:1"}
+QUICK_EPOCHS = 6
 OTHERS = {
     "context": shared.CONTEXT,
     "details": shared.option("details", bool, False, DETAILS),
@@ -66,6 +68,16 @@ OTHERS = {
         "GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
     ),
     "primary": shared.option("primary", list[str] | None, None, PRIMARY),
+    "quick": shared.option(
+        "quick",
+        bool,
+        False,
+        typer.Option(
+            "--quick",
+            help="A first answer in about a minute: one thrust magnitude, a fifth of the epochs, "
+            "a fixed acting rule, no folds, nothing to compare with. Trust the full run alone.",
+        ),
+    ),
     "resume": shared.option(
         "resume",
         Path | None,
@@ -107,8 +119,8 @@ def _options(names: str) -> list[inspect.Parameter]:
 @shared.with_options(
     _options(
         "file env species algo preset steps seed out source copies focal neighbours policy device "
-        "config cloning fit_method thrusts acting repetitions folds baselines tolerance primary "
-        "measure details settings"
+        "config cloning fit_method thrusts acting repetitions folds baselines quick tolerance "
+        "primary measure details settings"
     )
 )
 def run_command(**given: Any) -> None:
@@ -120,6 +132,8 @@ def run_command(**given: Any) -> None:
 
       animarl run packaged --steps 20000 --out runs/first
 
+      animarl run demos.npz --quick --out runs/quick
+
       animarl run packaged --species agent --algo dqdil --preset paper --out runs/paper
 
       animarl run episodes_share.npz --algo dqdil-pt --seed 0 --out runs/agents
@@ -130,6 +144,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.evaluation.headline import list_implausible
     from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.evaluation.verdict_rows import Questions
+    from animarl_algos.report.inputs import duration
     from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
@@ -163,9 +178,11 @@ def run_command(**given: Any) -> None:
     if folds:
         tested = f"all recordings, each by a simulator that was trained without it ({folds} folds)"
         if given["folds"] is None:
+            training = sum(s for stage, s in run.wall_times().items() if "training" in stage)
+            left = duration(folds * training)
             console.print(
                 "The test split has fewer than 10 recordings, too few for a verdict: training "
-                f"{folds} times more to cross-validate (--folds 0: not at all)"
+                f"{folds} times more to cross-validate, about {left} (--folds 0: not at all)"
             )
         pipeline.cross_validate(run, folds)
     begin("3/4", f"evaluating on {tested}")
@@ -231,6 +248,7 @@ def report_command(run: Path) -> None:
 
 def _open(given: dict[str, Any]) -> Run:
     """Return the run folder that a command's options ask for; refused before it is made."""
+    from animarl_algos.recipes.registry import named_recipe
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run_set import number_of_folds
 
@@ -248,6 +266,12 @@ def _open(given: dict[str, Any]) -> Run:
     if given["policy"] is not None:
         overrides["policy"] = given["policy"]
     stated = {k: v for k, v in given.items() if k in field_types(RunSettings) and v is not None}
+    if given.get("quick"):
+        given["folds"] = given["folds"] or 0
+        stated |= {key: value for key, value in QUICK.items() if key not in stated}
+        stated["baselines"] = False
+        if named_recipe(given["algo"]).pretrained:
+            overrides.setdefault("offline_epochs", QUICK_EPOCHS)
     stated |= {"species": species, "overrides": overrides}
     if given["env"] is not None and species != CUSTOM:
         stated.setdefault("fit_method", "species")

@@ -11,6 +11,7 @@ learn, and how) and :mod:`.checkpoint`. The recipe says what the loss is made of
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Iterable
 from typing import Any, ClassVar, Self
 
@@ -20,6 +21,7 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import maybe_make_env
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import HumanOutputFormat, KVWriter, Logger
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
@@ -453,6 +455,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
             raise InputError("there is nothing to pretrain: give offline_epochs")
         if self.offline_progress.done:
             return self.offline_progress
+        self._log_to_terminal()
         if not hasattr(self, "_logger"):
             self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
         data, policy = self.demonstration_data(), self.policy
@@ -477,6 +480,15 @@ class SequenceQLearning(OffPolicyAlgorithm):
         for hook in self.boundary_hooks:
             hook.at_boundary()
 
+    def _log_to_terminal(self) -> None:
+        """Log to the terminal if verbose, unless a logger or ``tensorboard_log`` was given.
+
+        The logger that stable-baselines3 makes leaves an empty temporary folder for each training.
+        """
+        if not self._custom_logger and self.tensorboard_log is None:
+            terminal: list[KVWriter] = [HumanOutputFormat(sys.stdout)] if self.verbose else []
+            self.set_logger(Logger(None, terminal))
+
     def _setup_learn(  # type: ignore[override]
         self, total_timesteps: int, *args: Any
     ) -> tuple[int, BaseCallback]:
@@ -490,6 +502,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
             self.memory = self.policy.initial_state(self.n_envs)
             self._require_buffer().drop_running()
             self.schedule.restart_rollout()
+        self._log_to_terminal()
         total_timesteps, callback = super()._setup_learn(
             total_timesteps, callback, reset_num_timesteps, *rest
         )

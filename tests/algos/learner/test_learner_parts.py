@@ -433,3 +433,11 @@ def test_few_demonstrations_have_short_epochs() -> None:
 )
 def test_bad_settings_are_refused(given: dict[str, Any], message: str) -> None:
     refuses(message, make_pair_learner, "bc", offline_kwargs=given)
+
+
+def test_training_leaves_no_temporary_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    DQN("MlpPolicy", toys.Pair(2), **SETTINGS).learn(20)
+    assert not any(tmp_path.iterdir())
