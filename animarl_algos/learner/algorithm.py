@@ -11,7 +11,6 @@ learn, and how) and :mod:`.checkpoint`. The recipe says what the loss is made of
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Iterable
 from typing import Any, ClassVar, Self
 
@@ -21,7 +20,6 @@ from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import maybe_make_env
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import HumanOutputFormat, KVWriter, Logger
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
@@ -32,7 +30,7 @@ from stable_baselines3.common.type_aliases import (
     Schedule,
     TrainFreq,
 )
-from stable_baselines3.common.utils import configure_logger, polyak_update
+from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset, check_demonstrations
@@ -52,7 +50,7 @@ from animarl_algos.data.vec_env import (
     refuse_other_slots,
 )
 from animarl_algos.learner import checkpoint
-from animarl_algos.learner.callbacks import BoundaryCallback, with_progress_bar
+from animarl_algos.learner.callbacks import BoundaryCallback, open_logger, with_progress_bar
 from animarl_algos.learner.presets import (
     check_settings,
     learner_preset,
@@ -455,9 +453,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
             raise InputError("there is nothing to pretrain: give offline_epochs")
         if self.offline_progress.done:
             return self.offline_progress
-        self._log_to_terminal()
-        if not hasattr(self, "_logger"):
-            self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
+        open_logger(self, "offline")
         data, policy = self.demonstration_data(), self.policy
         check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
         self.offline_phase().run(data, self.logger, self.at_boundary, progress_bar=progress_bar)
@@ -480,15 +476,6 @@ class SequenceQLearning(OffPolicyAlgorithm):
         for hook in self.boundary_hooks:
             hook.at_boundary()
 
-    def _log_to_terminal(self) -> None:
-        """Log to the terminal if verbose, unless a logger or ``tensorboard_log`` was given.
-
-        The logger that stable-baselines3 makes leaves an empty temporary folder for each training.
-        """
-        if not self._custom_logger and self.tensorboard_log is None:
-            terminal: list[KVWriter] = [HumanOutputFormat(sys.stdout)] if self.verbose else []
-            self.set_logger(Logger(None, terminal))
-
     def _setup_learn(  # type: ignore[override]
         self, total_timesteps: int, *args: Any
     ) -> tuple[int, BaseCallback]:
@@ -502,7 +489,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
             self.memory = self.policy.initial_state(self.n_envs)
             self._require_buffer().drop_running()
             self.schedule.restart_rollout()
-        self._log_to_terminal()
+        open_logger(self)
         total_timesteps, callback = super()._setup_learn(
             total_timesteps, callback, reset_num_timesteps, *rest
         )

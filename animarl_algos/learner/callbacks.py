@@ -14,7 +14,9 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
+from stable_baselines3.common.logger import HumanOutputFormat, KVWriter, Logger
 from stable_baselines3.common.type_aliases import MaybeCallback
+from stable_baselines3.common.utils import configure_logger
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
@@ -137,6 +139,22 @@ def with_progress_bar(callback: MaybeCallback) -> list[BaseCallback]:
         c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given if c is not None
     ]
     return [*each, ProgressBar()]
+
+
+def open_logger(model: Any, tensorboard: str = "") -> None:
+    """Give a model that has no logger one to the terminal, if verbose.
+
+    The one that stable-baselines3 would make leaves an empty temporary folder for each training.
+    With ``tensorboard_log`` the model gets one of that name, or stable-baselines3 makes it.
+    """
+    if hasattr(model, "_logger"):
+        return
+    if model.tensorboard_log is not None:
+        if tensorboard:
+            model._logger = configure_logger(model.verbose, model.tensorboard_log, tensorboard)
+        return
+    terminal: list[KVWriter] = [HumanOutputFormat(sys.stdout)] if model.verbose else []
+    model.set_logger(Logger(None, terminal))
 
 
 # -- returns --------------------------------------------------------------------------------------
