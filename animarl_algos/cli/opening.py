@@ -22,7 +22,7 @@ from threading import Thread
 from typing import Any, TextIO
 from urllib.parse import parse_qs, urlsplit
 
-from typer import Option
+from typer import Argument, Option
 
 from animarl_algos.cli.shared import PlainConsole, with_help
 from animarl_envs.errors import InputError, require
@@ -291,7 +291,7 @@ def _last_of_each(query: str) -> dict[str, str]:
 
 
 @with_help(
-    folder="Folder of runs.",
+    folder=Argument(help="Folder of runs."),
     port=Option(min=0, max=65535, help="Port; 0: one that is free."),
     browser=Option("--browser/--no-browser", help="Open the list in the browser."),
 )
