@@ -68,7 +68,7 @@ LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
     "animarl_algos.benchmark": 20_000,
-    "animarl_algos.cli": 20_940,
+    "animarl_algos.cli": 20_950,
     "animarl_algos.data": 8_560,
     "animarl_algos.evaluation": 40_500,
     "animarl_algos.learner": 18_100,
