@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -37,7 +37,9 @@ COUNTERFACTUAL = ("dqdil-pt", "dqcil-pt", "dqdil", "dqcil")
 ADAPTING = ("dqdil-pt", "dqcil-pt", "dqaas")
 ADAPTED_STEPS = (5_000, 20_000, 100_000)
 PAPER_STEPS = 1_005_000
-ONSET, JOINT, ADAPTED = "onset", "joint", "adapted"
+ONSET: Final = "onset"
+JOINT: Final = "joint"
+ADAPTED: Final = "adapted"
 SETTINGS = (ONSET, JOINT, ADAPTED)
 """The paper's world (its onset rule fits the locomotion), the world of the joint fit, and clones of
 the default preset that adapt online."""
