@@ -37,7 +37,8 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
 
 @with_help(
     env=Argument(help="Environment id, such as AnimaRL/Newt-v0; by default that of --model."),
-    model="The trained policy: a run's folder, or a packaged model by name, such as fly.",
+    model="The trained policy: the folder of a run, or that of rl_zoo3's train (its zip holds "
+    "pickles: only your own), or a packaged model by name, such as fly.",
     out="Clip to write, .gif or .mp4; without it, a window opens.",
     seed="Seed of the episodes and the policies.",
     acting="Acting rule of --model: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by default "
@@ -195,12 +196,21 @@ def prepare(
     is not valid, or the model has no trained policy, or one of another species or of other
     individuals.
     """
-    run = None
+    run = zoo = None
     if model is not None:  # what learns is imported where it acts
         from animarl_algos.runs.pretrained import model_folder
         from animarl_algos.runs.run import Run
+        from animarl_algos.runs.zoo_model import ZooModel
 
-        run = Run(model_folder(model), acting)
+        folder = model_folder(model)
+        zoo = ZooModel.of(folder, acting, seed)
+        run = Run(folder, acting) if zoo is None else None
+    if zoo is not None:
+        if env is not None and zoo.env not in (env, environment_id(env)):
+            raise InputError(f"{model}: it was trained in {zoo.env}, not in {env}: leave {env} out")
+        if options.get("demos") == PACKAGED:
+            del options["demos"]  # those that it learned from
+        env, focal, options = zoo.env, focal or zoo.focal, zoo.options | options
     if env is None:
         assert run is not None
         env = environment_id(run.settings.species)
@@ -240,12 +250,14 @@ def prepare(
     names = plain.names
     if focal is not None and focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
-    driven = set() if run is None or replayed else {focal} if focal is not None else set(names)
+    driven = set() if model is None or replayed else {focal} if focal is not None else set(names)
     rule = by or ("demonstration" if plain.paired else "script")
     programmed = rule == "script" and plain.species.script == PROGRAMMED
     other = {"demonstration": "replay", "script": "action" if programmed else "scripted"}[rule]
     drivers = {name: "action" if name in driven else other for name in names}
     world = make_world(make_scenario(species, drivers=drivers, **options), 1)
+    if zoo is not None and not replayed:
+        return world, trained_actor(zoo.as_joint_policy(names))
     if run is not None and not replayed:
         return world, trained_actor(run.as_joint_policy(run.policy))
     return world, programmed_actor(world.scenario, seed) if programmed else idle_actor

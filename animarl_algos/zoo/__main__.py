@@ -112,6 +112,8 @@ def main() -> None:
         print(USAGE)
         sys.exit(0 if sys.argv[1:] else 2)
     try:
+        if command == "enjoy":
+            raise InputError("a trained model is watched with 'animarl watch --model LOG_FOLDER'")
         if command not in COMMANDS:
             raise InputError(f"command {command!r} is unknown: choose {', '.join(COMMANDS)}")
         register()

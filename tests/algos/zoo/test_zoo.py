@@ -19,10 +19,12 @@ import rl_zoo3.utils
 import yaml
 from commands import Done, refused, succeeded
 from gymnasium.envs.classic_control import CartPoleEnv
+from refusals import refuses
 from small_runs import few
 from stable_baselines3.common import callbacks
 from stable_baselines3.common.monitor import load_results
 
+from animarl_algos.cli.watch import prepare
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.settings import LearnerFile
 from animarl_algos.recipes.registry import RECIPES
@@ -131,6 +133,11 @@ def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
     assert yaml.safe_load((runs[0] / NAME / "args.yml").read_text())["seed"] == 1
     with np.load(runs[0] / "evaluations.npz") as evaluations:
         assert evaluations["results"].shape[1] == 2 * 3  # episodes x individuals
+    world, actor = prepare(None, model=runs[0], split="test")
+    assert len(world.scenario.demos) < 20  # the small set's
+    world.reset()
+    assert actor(world, True).shape == (1, 3)
+    refuses("it was trained in AnimaRL/Agent-v0, not in", prepare, "newt", model=runs[0])
     succeeded(zoo("train", "-i", str(runs[0] / f"{NAME}.zip"), *asked))
     for run in runs:
         episodes = load_results(str(run))
