@@ -478,12 +478,16 @@ def main(
         console.print(markdown(table), soft_wrap=True, highlight=False, markup=False)
 
 
+OLDER_NAMES = {"difference_low": "low", "difference_high": "high", "overall": "headline"}
+"""Columns of tables that were made before, by what they are called now."""
+
+
 def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     """Beside the rows of an earlier table of other sets and seeds, in the order of the sets."""
     if file.exists():
         # A commit may look like a number, and numbers are to stay the same to the last digit.
         earlier = pd.read_csv(file, dtype={"commit": str}, float_precision="round_trip")
-        earlier = earlier.rename(columns={f"difference_{end}": end for end in ("low", "high")})
+        earlier = earlier.rename(columns=OLDER_NAMES)
         cell = ["set", "seed"]
         anew = pd.MultiIndex.from_frame(table[cell])
         kept = earlier[~pd.MultiIndex.from_frame(earlier[cell]).isin(anew)]

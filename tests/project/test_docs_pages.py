@@ -156,18 +156,19 @@ def test_the_tables_are_those_of_the_csv(tables: dict[str, Any]) -> None:
 
 
 def test_every_cell_of_the_test_table_has_its_headline_on_the_page(tables: dict[str, Any]) -> None:
-    cells = pd.read_csv(tables["TEST_TABLE"]).drop_duplicates(["set", "seed"])
-    assert set(cells["set"]) == set(tables["TESTED"])
+    cells = tables["tested_cells"]().drop_duplicates(["set", "seed"])
+    assert set(cells["set"]) <= set(tables["TESTED"])
     lines = {line.split(" | ")[0].strip("| "): line for line in tables["verdicts"]().splitlines()}
     for cell in cells.itertuples():
-        assert str(cell.overall) in lines[str(cell.set)]
+        assert str(cell.headline) in lines[str(cell.set)]
 
 
 def test_the_page_says_how_many_living_cells_have_a_fault(tables: dict[str, Any]) -> None:
-    cells = pd.read_csv(tables["TEST_TABLE"]).drop_duplicates(["set", "seed"])
+    cells = tables["tested_cells"]().drop_duplicates(["set", "seed"])
     living = cells[cells["set"].isin(LIVING)]
-    without = ["moves like the recordings", "not distinguishable"]
-    faulty = (~living["overall"].isin(without)).sum()
+    without = ["moves like the recordings", "not distinguishable"]  # of older verdicts
+    older = ~living["headline"].isin(without)
+    faulty = (living["page"] == "red" if "page" in living else older).sum()
     page = (ROOT / "docs" / "results" / "README.md").read_text()
     assert f"{faulty} of {len(living)} cells have a fault" in page
 
