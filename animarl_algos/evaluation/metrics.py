@@ -27,11 +27,13 @@ from animarl_envs.errors import InputError
 ARENA_UNITS = RECORDED_SCALE.name
 GOAL, GROUP, ANIMAL = "goal", "group", "animal"  # what a metric may be about
 KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
+BETWEEN_ANIMALS = "between animals"  # of a group
 KINDS = {
     KINEMATIC: "Motion of individuals",
     ORDER: "Order in time",
     INTERACTIVE: "Reactions to others",
     PLACE: "Place",
+    BETWEEN_ANIMALS: "Differences between animals",
 }
 """Kinds of metrics that share a row of the verdict; the one farthest from alike stands for it."""
 OF_MEAN, OF_SHARE, OF_SPREAD, OF_WIDTH = "mean", "share", "spread", "width"

@@ -25,6 +25,15 @@ CHUNK = 4_000_000  # frames x individuals that are padded at once
 LOW = 0.05  # quantile of the distance to the nearest neighbour
 LEAD, DELAYS = 2.0, 10  # by which an animal may lead [s]; delays that are tried, to either side
 ROUNDING = 1e-24  # variance that is rounding alone: of a constant speed, which correlates with none
+OF_EACH_ANIMAL = (
+    "speed",
+    "share at rest",
+    "turning",
+    "nearest neighbour",
+    "distance from the wall",
+    "distance from the start",
+)
+"""Measures whose differences between the animals of a group are compared."""
 NEAR_WALL = 0.1  # of the arena's size: so near a wall counts as being at it
 
 
@@ -164,10 +173,9 @@ def order_measures(
             if arena is not None:
                 measures += _places(series, arena, "searcher" in rollouts.roles)
             if rollouts.is_group:
-                own = np.nanstd(_mean(series.speed), axis=1, keepdims=True)
-                measures = [(name, _mean(values)[:, None]) for name, values in measures]
-                measures.append(("spread of speed between animals", own))
-                measures += _groups(series, rollouts.dt, lags[-1])
+                means = [(name, _mean(values)[:, None]) for name, values in measures]
+                groups = _groups(series, rollouts.dt, lags[-1])
+                measures = [*means, *groups, *_differences_between_animals(measures)]
             parts.append(np.concatenate([values for _, values in measures], axis=1))
     names = [
         f"{name}, {one}" if one else name
@@ -244,6 +252,16 @@ def _groups(series: Series, dt: float, longest: int) -> Iterator[tuple[str, Floa
     yield "milling", _mean(around)[:, None]
     lead = np.abs(_lead(series.course, min(longest, max(1, round(LEAD / dt)))))
     yield "leadership lag", _mean(lead, axis=1)[:, None] * dt
+
+
+def _differences_between_animals(
+    measures: list[tuple[str, Floats]],
+) -> Iterator[tuple[str, Floats]]:
+    """Standard deviation between the animals of a group of what each of them does."""
+    for name, values in measures:
+        if name in OF_EACH_ANIMAL:
+            apart = np.sqrt(_mean((values - _mean(values)[:, None]) ** 2))[:, None]
+            yield f"spread of {name} between animals", apart
 
 
 def _lead(course: Floats, farthest: int) -> Floats:

@@ -15,7 +15,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import gymnasium as gym
-import pandas as pd
 import pytest
 from browser import chromium
 from refusals import refuses

@@ -9,6 +9,7 @@ from recordings import episodes_along
 from animarl_algos.evaluation.classifier import window_features
 from animarl_algos.evaluation.collect import Blindfolded, MemorylessPolicy
 from animarl_algos.evaluation.metrics import (
+    BETWEEN_ANIMALS,
     INTERACTIVE,
     METRICS,
     compared_metrics,
@@ -97,6 +98,29 @@ def test_measures_of_groups_have_known_values() -> None:
     assert np.isnan(same["speed with the others"])  # speeds do not vary
     # The leader is half a second ahead, on a grid of .2 s, and the others are with each other.
     assert led["leadership lag"] == pytest.approx(0.5 / 4, abs=0.03)
+
+
+def test_how_animals_of_a_group_differ_is_measured(group: Demonstrations) -> None:
+    """Spreads between animals have known values; a simulator of equal animals is caught by them."""
+    time = 0.1 * np.arange(41)[:, None]
+    lanes = np.stack([np.tile([0.0, 0.1, 0.2, 0.4], (41, 1)), time * [0.1, 0.1, 0.2, 0.2]], axis=-1)
+    lanes[:, 3, 1] = 0.0  # it rests
+    known = measured(lanes)
+    assert known["spread of speed between animals"] == pytest.approx(np.std([0.1, 0.1, 0.2, 0.0]))
+    assert known["spread of share at rest between animals"] == pytest.approx(np.std([0, 0, 0, 1]))
+    assert known["spread of turning between animals"] == pytest.approx(0.0, abs=1e-9)
+    assert known["spread of nearest neighbour between animals"] > 0
+    assert known["spread of distance from the wall between animals"] > 0
+
+    rng, start = np.random.default_rng(3), group.positions[group.offsets[:-1]]
+    factor = rng.uniform(0.2, 1.8, size=(len(group), 1, ANIMALS, 1))
+    steps = 0.005 * rng.normal(size=(2, len(group), 60, ANIMALS, 2))
+    unlike = start[:, None] + np.cumsum(factor * steps[0], axis=1)
+    equal = start[:, None] + np.cumsum(1.12 * steps[1], axis=1)
+    demos = recorded(list(unlike), TANK, LAW.dt)
+    row = judge(demos, list(equal), 1).row(BETWEEN_ANIMALS)
+    assert row["judgement"] == DIFFERS and row["simulated"] < row["recorded"]
+    assert "differ too little" in row["verdict"]
 
 
 def test_measures_of_a_group_do_not_depend_on_who_is_who(group: Demonstrations) -> None:
