@@ -14,6 +14,7 @@ from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
 from animarl_algos.evaluation.prepared import CELLS, Prepared
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.verdict_rows import lower_first
 from animarl_algos.report import figures
 from animarl_algos.report.figures import path_panels
 from animarl_algos.report.inputs import ReportInputs, provenance
@@ -48,12 +49,6 @@ def run_page(inputs: ReportInputs) -> Page:
         ("Method", method_label(inputs.learner)),
         ("Training seeds", ", ".join(map(str, inputs.seeds)) or NOTHING),
     ]
-    made = []
-    if processor := inputs.machine.get("processor"):
-        other = (
-            "Another processor rounds differently, so that the same command trains another network."
-        )
-        made = [Text(f"Made on {processor}. {other}")]
     return Page(
         title=inputs.title,
         kind="Simulation report",
@@ -62,7 +57,9 @@ def run_page(inputs: ReportInputs) -> Page:
         lead=verdict_lead(judged, inputs.words, list(dict.fromkeys(cautionary))),
         player=run_player(inputs),
         sections=[
-            Section("verdict", "Verdict", [*verdict_blocks(judged, inputs.words), *made]),
+            Section(
+                "verdict", "Verdict", [*verdict_blocks(judged, inputs.words), *_processor(inputs)]
+            ),
             Section("trajectories", "Trajectories", list(_trajectories(inputs))),
             Section(
                 "distributions",
@@ -83,6 +80,43 @@ def run_page(inputs: ReportInputs) -> Page:
 def write_report(inputs: ReportInputs, out: str | Path) -> Path:
     """Write the report to ``out``, whole or not at all, and return the path."""
     return write_page(run_page(inputs), Path(out))
+
+
+def _processor(inputs: ReportInputs) -> Iterator[Block]:
+    """Yield the processor of the run, and how far its results move without another training."""
+    processor = inputs.machine.get("processor")
+    if not processor:
+        return
+    sentences = [
+        f"Made on {processor}.",
+        "Another processor rounds differently, so that the same command trains another network.",
+    ]
+    if ranges := repetition_ranges(inputs):
+        sentences.append(
+            "Expect at least the range that other random numbers give, which is that of the "
+            f"repetitions from the same starts: {', '.join(ranges)}."
+        )
+    yield Text(" ".join(sentences))
+
+
+def repetition_ranges(inputs: ReportInputs) -> list[str]:
+    """Return the range over seeds and repetitions of means over all starts, by metric, in words.
+
+    Metrics that do not vary between repetitions are left out.
+    """
+    rows = inputs.evaluation.metrics.query("factual")
+    rows = rows[rows["method"] == inputs.learner]
+    starts = rows.groupby(["seed", "repetition"])["demo"].nunique()
+    complete = rows.set_index(["seed", "repetition"]).loc[starts[starts == starts.max()].index]
+    ranges = []
+    for metric in (one for one in METRICS if one.caption and one.key in rows):
+        means = complete.groupby(level=[0, 1])[metric.key].mean()
+        scale = 100.0 if metric.share else inputs.words.factor(metric)
+        low, high = (number(scale * float(end)) for end in (means.min(), means.max()))
+        if low != high:
+            unit = inputs.words.unit_of(metric)
+            ranges.append(f"{lower_first(metric.label)} {low} to {high} {unit}".rstrip())
+    return ranges
 
 
 def _trajectories(inputs: ReportInputs) -> Iterator[Block]:

@@ -10,6 +10,7 @@ from html_page import Page
 from refusals import refuses
 from report_inputs import (
     HOSTILE,
+    MADE,
     bare_inputs,
     make_demos,
     make_rollouts,
@@ -51,6 +52,17 @@ def test_what_made_the_run_is_on_the_page() -> None:
         "Some processor", "2.5 min", "time_limit",
     ):  # fmt: skip
         assert text in report_page()
+
+
+def test_the_page_says_the_range_over_repetitions() -> None:
+    rows = report_inputs().evaluation.metrics.query("factual and method == 'dqdil'")
+    means = 100 * rows.groupby(["seed", "repetition"])["captured"].mean()
+    assert means.nunique() > 1
+    low, high = (f"{end:.3g}" for end in (means.min(), means.max()))
+    assert f"target reached {low} to {high} %" in report_page()
+    demos = make_demos()
+    once = make_rollouts(demos, "bc").select(np.arange(len(demos)))
+    assert "Expect at least the range" not in rendered(bare_inputs(demos, {"bc": once}, **MADE))
 
 
 def test_numbers_on_the_page_are_those_of_the_tables() -> None:
