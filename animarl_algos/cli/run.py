@@ -17,6 +17,7 @@ from animarl_algos.cli.evaluate import DETAILS, MEASURE, PRIMARY, TOLERANCE
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings, species_of_options
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.scenario import PACKAGED
 from animarl_envs.settings import describe_fields, field_types
 from animarl_envs.species import CUSTOM, SPECIES
 
@@ -44,8 +45,8 @@ OTHERS = {
         None,
         typer.Option(
             min=0,
-            help="Cross-validate in so many folds, 0: never; by default in 5 where the test split "
-            "has fewer than 10 recordings, and all splits together have 10 or more.",
+            help="Cross-validate in so many folds, 0: never; by default in 3 where FILE is your "
+            "own, its test split has fewer than 20 recordings, and all splits have 10 or more.",
         ),
     ),
     "measure": shared.option("measure", list[str] | None, None, MEASURE),
@@ -149,7 +150,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import far_acting_rules
-    from animarl_algos.runs.run_set import number_of_folds
+    from animarl_algos.runs.run_set import ENOUGH_TESTED
     from animarl_envs.fitting.result import doubts
 
     console = shared.PlainConsole(WIDTH)
@@ -163,9 +164,8 @@ def run_command(**given: Any) -> None:
 
     register_measures(given["measure"])
     questions = Questions.parse(given["tolerance"] or (), given["primary"] or ())
-    run = _open(given)
+    run, folds = _open(given)
     questions.check(run.demos)
-    folds = number_of_folds(run.demos, given["folds"])
     begin("1/4", "fitting locomotion")
     fit = pipeline.fit(run)
     console.print(format_fit_table(fit, run.demos))
@@ -179,10 +179,11 @@ def run_command(**given: Any) -> None:
         tested = f"all recordings, each by a simulator that was trained without it ({folds} folds)"
         if given["folds"] is None:
             training = sum(s for stage, s in run.wall_times().items() if "training" in stage)
-            left = duration(folds * training)
+            left = duration((folds - 1) * training)
             console.print(
-                "The test split has fewer than 10 recordings, too few for a verdict: training "
-                f"{folds} times more to cross-validate, about {left} (--folds 0: not at all)"
+                f"The file's test split has fewer than {ENOUGH_TESTED} recordings, too few for a "
+                f"verdict: the run tests a third of all recordings, and {folds - 1} more trainings, "
+                f"about {left}, test the others (--folds 0: keep the file's split)"
             )
         pipeline.cross_validate(run, folds)
     begin("3/4", f"evaluating on {tested}")
@@ -227,7 +228,7 @@ def train_command(context: typer.Context, **given: Any) -> None:
         run = Run(given["resume"])
         run.extend(given["steps"], given["device"])
     else:
-        run = _open(given)
+        run, _ = _open(given)
     pipeline.learn(run, run.settings.algo)
     shared.PlainConsole(WIDTH).print(f"Trained: {run.path}")
 
@@ -246,8 +247,11 @@ def report_command(run: Path) -> None:
     shared.PlainConsole(WIDTH).print(f"Open {pipeline.report(Run(run))}")
 
 
-def _open(given: dict[str, Any]) -> Run:
-    """Return the run folder that a command's options ask for; refused before it is made."""
+def _open(given: dict[str, Any]) -> tuple[Run, int]:
+    """Return the run folder that a command's options ask for, and its number of folds.
+
+    Whatever does not fit is refused before the folder is made.
+    """
     from animarl_algos.recipes.registry import named_recipe
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run_set import number_of_folds
@@ -255,8 +259,11 @@ def _open(given: dict[str, Any]) -> Run:
     species = species_of_options(given["env"], given["species"])
     with shared.suggest_import_on_error(given["file"], takes=(shared.SOURCE,)):
         demos = pipeline.load_demonstrations(given["file"], given["source"], species)
-    if given.get("folds"):
-        number_of_folds(demos, given["folds"])
+    # Packaged recordings keep the split that the packaged models know; so does 'train'.
+    wanted = given.get("folds", 0)
+    if wanted is None and (given["file"] == PACKAGED or given.get("quick")):
+        wanted = 0
+    folds = number_of_folds(demos, wanted)
     if species is None:
         species = demos.species if demos.species in SPECIES else CUSTOM
     overrides = shared.parse_settings(given["settings"])
@@ -278,9 +285,10 @@ def _open(given: dict[str, Any]) -> Run:
     learner = RunSettings.of({"steps": 1} | stated).learner()
     preset = pipeline_settings(environment_id(species), given["preset"])
     preset |= {"steps": learner.n_timesteps, "copies": learner.n_envs}
-    return pipeline.open_run(
-        RunSettings.of(preset | stated), given["out"], shared.command_line(), demos
+    run = pipeline.open_run(
+        RunSettings.of(preset | stated), given["out"], shared.command_line(), demos, folds
     )
+    return run, folds
 
 
 def _refuse_beside_resume(context: typer.Context) -> None:

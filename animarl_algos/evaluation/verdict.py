@@ -49,8 +49,6 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import read_json, write_then_rename
 from animarl_envs.fitting.tracking import Tracking
 
-MIN_TEST_RECORDINGS = 10  # below, runs are cross-validated where that makes them more
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verdict:

@@ -5,7 +5,7 @@ Nothing is trained here.
 
 import shlex
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -288,7 +288,9 @@ def _new_recordings(runs: run_set.RunSet, demos: Demonstrations) -> Demonstratio
     Of the very set that the runs were trained on, only the test split is new.
     """
     known = runs.demos
-    if demos.fingerprint() == known.fingerprint():
+    if len(demos) == len(known) and (
+        replace(demos, split=known.split).fingerprint() == known.fingerprint()
+    ):
         return known.select(split="test")
     for what, here, there in (
         ("individuals", demos.individuals, known.individuals),

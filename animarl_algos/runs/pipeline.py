@@ -34,24 +34,33 @@ from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.splits import refuse_empty_splits
+from animarl_envs.demos.splits import refuse_empty_splits, run_folds
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import PACKAGED, make_scenario
 
 
 def open_run(
-    settings: RunSettings, out: Path, command: str, demos: Demonstrations | None = None
+    settings: RunSettings,
+    out: Path,
+    command: str,
+    demos: Demonstrations | None = None,
+    folds: int = 0,
 ) -> Run:
-    """Start (or find again) the run folder; what does not fit together is refused before it."""
+    """Start (or find again) the run folder; what does not fit together is refused before it.
+
+    A run that will be cross-validated in so many ``folds`` has the split of the first.
+    """
     if demos is None:
         demos = load_demonstrations(settings.file, settings.source, settings.species)
+    if folds:
+        demos = next(run_folds(demos, folds))
     settings, reasons = with_recipe(settings, demos)
     check_run(settings, demos)
     run = Run(out)
     run.path.mkdir(parents=True, exist_ok=True)
     with run.lock():
-        run.start(settings, demos, command, reasons)
+        run.start(settings, demos, command, reasons, folds)
     return run
 
 
@@ -166,10 +175,10 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
 
 
 def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
-    """Train the learners of a run anew for every fold, without its test recordings."""
-    begun = progress_display("cross-validation", "fold", folds, disable=not progress_bar)
+    """Train the learners of a run anew for every other fold, without its test recordings."""
+    begun = progress_display("cross-validation", "fold", folds - 1, disable=not progress_bar)
     with run.lock(), begun as bar:
-        for number, fold in enumerate(run_set.begin_folds(run, folds), 1):
+        for number, fold in enumerate(run_set.begin_folds(run, folds), 2):
             with run.timed(f"fold {number} of {folds}"):
                 learn_all(fold, progress_bar=progress_bar)
             bar.update()
@@ -182,7 +191,7 @@ def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:
     """
     with run.lock(), run.timed("evaluation"):
         rollouts, folds = roll_out(run), run_set.trained_folds(run)
-        for fold in folds:
+        for fold in folds[1:]:
             roll_out(fold)
         if folds:
             rollouts = run_set.joined_rollouts(folds)

@@ -7,7 +7,7 @@ checkpoints/        the last whole checkpoint of each learner
 policies/           final weights of each learner (tensors only), and the rule that it acts by
 logs/               learning curves: CSV and TensorBoard
 rollouts/           on the test split, by method
-folds/              of a cross-validation: a run folder for each fold
+folds/              of a cross-validation: a run folder for each other fold
 evaluation/         tables, and the verdict
 wall_time.json      seconds by stage
 report.html
@@ -43,7 +43,7 @@ from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, CHOSEN, RunSettin
 from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.splits import learnable
+from animarl_envs.demos.splits import learnable, run_folds
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_json, write_then_rename
 from animarl_envs.fitting.custom_species import species_of
@@ -84,11 +84,12 @@ class Run:
         demos: Demonstrations,
         command: str,
         reasons: Mapping[str, str] | None = None,
+        folds: int = 0,
     ) -> None:
         """Write what the run is, or make sure that what is there is the same run.
 
-        ``reasons`` say why a setting was chosen, by its name. Raises InputError if the folder holds
-        another run.
+        ``reasons`` say why a setting was chosen, by its name; ``demos`` are split as the first of
+        so many ``folds``, or as they were given. Raises InputError if the folder holds another run.
         """
         own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
         moving = run_world.select_individuals(demos, own.env_kwargs)
@@ -113,7 +114,7 @@ class Run:
                 "machine": run_files.machine(),
                 "command": command,
                 "reasons": dict(reasons or {}),
-            }
+            } | ({"folds": folds} if folds else {})
             self._write_record(resolved | made)
             return
         for key, here in resolved.items():
@@ -230,13 +231,18 @@ class Run:
         if file.exists() or self.settings.file != PACKAGED:
             demos = Demonstrations.load(file)
         else:
-            demos = load_packaged(self.settings.species)
+            demos = self._split_for_run(load_packaged(self.settings.species))
             if demos.fingerprint() != self.record["fingerprint"]:
                 raise InputError(
                     f"{self.path}: it was trained on packaged demonstrations of another version: "
                     "train it anew"
                 )
         return run_world.select_individuals(demos, self.environment_options)
+
+    def _split_for_run(self, demos: Demonstrations) -> Demonstrations:
+        """Return the demonstrations of a file, split as for this run."""
+        folds = self.record.get("folds")
+        return next(run_folds(demos, folds)) if folds else demos
 
     def check_demonstrations(self, given: Demonstrations | None) -> Demonstrations:
         """Return the demonstrations that the run is shown with: those ``given``, or else its own.
@@ -246,6 +252,7 @@ class Run:
         """
         file = self.settings.file
         if file != PACKAGED and not (self.path / DEMONSTRATIONS).exists():
+            given = None if given is None else self._split_for_run(given)
             if given is None or given.fingerprint() != self.record["fingerprint"]:
                 other = "" if given is None else f", and {given.name} holds others"
                 raise InputError(

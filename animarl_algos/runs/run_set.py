@@ -2,9 +2,9 @@
 
 Cross-validation of a run with few test recordings: each recording is tested once.
 
-The simulator of a fold is trained without its test recordings, exactly as the run's own. All folds
-together make one evaluation. The run's own simulator, which is what one goes on with, is another
-training of the same kind.
+The run is the first fold: its test split is that of this fold, and its simulator is what one goes
+on with. The simulators of the other folds are trained in the same way, each without its own test
+recordings. All folds together make one evaluation.
 """
 
 from __future__ import annotations
@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.verdict import MIN_TEST_RECORDINGS
 from animarl_algos.runs.run import DEMONSTRATIONS, Run, method_name
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_algos.runs.run_world import SENSES, world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
-from animarl_envs.demos.splits import cross_validated
+from animarl_envs.demos.splits import run_folds
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import Tracking, track
 from animarl_envs.settings import field_types
@@ -162,41 +161,32 @@ def _short(value: object) -> str:
     return text if len(text) <= 90 else f"{text[:87]}..."
 
 
-FOLDS = 5
+FOLDS = 3
+ENOUGH_TESTED = 20  # test recordings, from which on a run is not cross-validated by default
+FEWEST_CROSSED = 10  # recordings of all splits; with fewer, folds make no verdict possible either
 FOLDER = "folds"
 
 
 def number_of_folds(demos: Demonstrations, wanted: int | None = None) -> int:
     """Return into how many folds a run is cross-validated, 0 for none.
 
-    By default only where that makes a verdict possible: the test split has too few recordings, and
-    all splits together have enough. Raises InputError if ``wanted`` are fewer than three folds, or
-    more than there are recordings.
+    By default where the test split has too few recordings, and all splits together have enough.
+    Raises InputError if ``wanted`` are fewer than three folds, or more than there are recordings.
     """
-    tested = np.unique(demos.recording[demos.split == "test"])
+    tested, recordings = np.unique(demos.recording[demos.split == "test"]), demos.recording
     if wanted is None:
-        wanted = (
-            FOLDS if len(tested) < MIN_TEST_RECORDINGS <= len(np.unique(demos.recording)) else 0
-        )
+        enough = len(np.unique(recordings)) >= FEWEST_CROSSED
+        wanted = FOLDS if enough and len(tested) < ENOUGH_TESTED else 0
     if wanted:
-        next(cross_validated(demos, wanted))
+        next(run_folds(demos, wanted))
     return wanted
 
 
 def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
-    """Make the folders of the folds within that of a run, or find them again.
-
-    Raises InputError if the run is cross-validated already, in another number of folds.
-    """
-    there = {file.name.partition("-of-")[2] for file in (run.path / FOLDER).glob("*-of-*")}
-    if there - {str(folds)}:
-        raise InputError(
-            f"{run.path}: it is cross-validated in {there.pop()} folds already: give --folds "
-            "accordingly, or another --out"
-        )
+    """Make the folders of the other folds within that of a run, or find them again."""
     begun = []
     given = Demonstrations.load(run.path / DEMONSTRATIONS)
-    for number, demos in enumerate(cross_validated(given, folds), 1):
+    for number, demos in list(enumerate(run_folds(given, folds), 1))[1:]:
         fold = Run(run.path / FOLDER / f"{number}-of-{folds}", run.acting_rule)
         fold.path.mkdir(parents=True, exist_ok=True)
         reasons = run.record.get("reasons", {})
@@ -207,10 +197,15 @@ def begin_folds(run: Run, folds: int) -> tuple[Run, ...]:
 
 
 def trained_folds(run: Run) -> tuple[Run, ...]:
-    """Return the folds of a run that was cross-validated, in order; none of another run."""
+    """Return the folds of a run that was cross-validated, in order; none of another run.
+
+    The first is the run itself. (Older runs have a folder for each fold.)
+    """
     folders = sorted((run.path / FOLDER).glob("*-of-*"), key=lambda path: _number(path)[0])
     folds = [Run(folder, run.acting_rule) for folder in folders]
-    whole = bool(folders) and len(folders) == _number(folders[0])[1]
+    if folders and _number(folders[0])[0] == 2:
+        folds = [run, *folds]
+    whole = bool(folders) and len(folds) == _number(folders[0])[1]
     algos = (run.settings.algo, *run.settings.compared)
     trained = whole and all(fold.has_policy(algo) for fold in folds for algo in algos)
     return tuple(folds) if trained else ()

@@ -15,6 +15,7 @@ from animarl_envs.settings import Checked, option
 from animarl_envs.wall import search_names
 
 FEWEST_FOLDS = 3  # train, val and test
+FOLD_VALIDATION = 1 / 8  # of the recordings that a fold of a run does not test
 FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits
 
 
@@ -87,13 +88,21 @@ def refuse_empty_splits(demos: Demonstrations) -> None:
     raise InputError(f"{demos.name}: split {empty[0]!r} holds no episode: {fix}")
 
 
-def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
+def run_folds(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
+    """Yield the recordings as each fold of a run splits them; the first is the run's own."""
+    return cross_validated(demos, folds, FOLD_VALIDATION)
+
+
+def cross_validated(
+    demos: Demonstrations, folds: int, validation: float | None = None
+) -> Iterator[Demonstrations]:
     """Yield the demonstrations once per fold: each episode is test once, val once, else train.
 
     Episodes of a recording, and of an animal that is named, stay together, unless there are fewer
-    than three of them. Whatever
-    the split was before is not asked. Raises InputError if there are fewer than three folds, or
-    fewer recordings (or episodes) than folds.
+    than three of them. The split that they had before has no influence. With ``validation``, such a
+    share of what is not tested is val in each fold, so that few folds leave enough to train on.
+    Raises InputError if there are fewer than three folds, or fewer recordings (or episodes) than
+    folds.
     """
     animals: Mapping[str, str] = demos.provenance.get("animals", {})
     dealt = np.array([animals.get(name, name) for name in demos.recording.tolist()])
@@ -108,8 +117,12 @@ def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstration
     fold = {name: i % folds for i, name in enumerate(names.tolist())}
     own = np.array([fold[name] for name in dealt.tolist()])
     for number in range(folds):
-        split = np.where(own == number, "val", "train")
-        split[own == (number + 1) % folds] = "test"
+        tested, validated = own == (number + 1) % folds, own == number
+        if validation is not None:
+            kept = [name for name in names.tolist() if fold[name] != (number + 1) % folds]
+            validated = np.isin(dealt, kept[: max(1, round(validation * len(kept)))])
+        split = np.where(validated, "val", "train")
+        split[tested] = "test"
         yield replace(demos, split=split)
 
 

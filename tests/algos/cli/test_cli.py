@@ -72,11 +72,12 @@ def test_the_verdict_of_few_test_recordings_is_cross_validated(
     words += ["--set", "offline_kwargs={updates_per_epoch: 3}", "--acting", "boltzmann:0.5"]
     words += ["--repetitions", "2", "--no-baselines"]
     said = succeeded(animarl(*words, "--out", "run"))
-    assert "fewer than 10 recordings" in said and "16 demonstrations" in said
+    assert "fewer than 20 recordings" in said and "16 demonstrations" in said
     run = Run(tmp_path / "run")
     folds = trained_folds(run)
     tested = [fold.demos.recording[fold.demos.split == "test"].tolist() for fold in folds]
-    assert len(folds) == 5
+    assert len(folds) == 3 and folds[0].path == run.path
+    assert {file.name for file in (run.path / "folds").iterdir()} == {"2-of-3", "3-of-3"}
     assert sorted(name for names in tested for name in names) == sorted(run.demos.recording)
     for fold, names in zip(folds, tested):
         assert not set(names) & set(fold.learnable_demos.recording)
@@ -84,16 +85,19 @@ def test_the_verdict_of_few_test_recordings_is_cross_validated(
     assert np.bincount(rollouts.demo).tolist() == [2] * 16
     first = run.demos.positions[run.demos.offsets[:-1]]
     assert np.array_equal(rollouts.positions[rollouts.offsets[:-1]], first[rollouts.demo])
-    assert "16 demonstrations, cross-validated in 5 folds" in (run.path / "report.html").read_text()
+    assert "16 demonstrations, cross-validated in 3 folds" in (run.path / "report.html").read_text()
 
     assert "16 demonstrations" in succeeded(animarl("evaluate", "run", "--out", "both"))
-    other = animarl(*words, "--folds", "4", "--out", "run")
-    refused(other, "cross-validated in 5 folds already")
+    other = ["evaluate", "run", "--demos", small, "--out", "new"]
+    assert ": 5 demonstrations are too few" in succeeded(
+        animarl(*other)
+    )  # the run's own test third alone
+    refused(animarl(*words, "--folds", "4", "--out", "run"), "holds another run")
 
 
 @pytest.mark.parametrize(
     ("test", "all_of_them", "asked", "folds"),
-    [(9, 30, None, 5), (10, 30, None, 0), (3, 9, None, 0), (9, 30, 0, 0), (12, 30, 3, 3)],
+    [(19, 41, None, 3), (20, 41, None, 0), (3, 9, None, 0), (9, 30, 0, 0), (25, 30, 4, 4)],
 )
 def test_folds_are_dealt_where_they_make_a_verdict_possible(
     test: int, all_of_them: int, asked: int | None, folds: int
