@@ -182,7 +182,7 @@ def run_command(**given: Any) -> None:
             left = duration((folds - 1) * training)
             console.print(
                 f"The file's test split has fewer than {ENOUGH_TESTED} recordings, too few for a "
-                f"verdict: the run tests a third of all recordings, and {folds - 1} more trainings, "
+                f"verdict: the run tests a third of all recordings; {folds - 1} more trainings, "
                 f"about {left}, test the others (--folds 0: keep the file's split)"
             )
         pipeline.cross_validate(run, folds)

@@ -81,7 +81,7 @@ BUDGETS = {
     "animarl_algos.whatif": 16_750,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 15_440,
-    "animarl_envs.demos": 8_960,
+    "animarl_envs.demos": 9_060,
     "animarl_envs.drawing": 9_980,
     "animarl_envs.fitting": 12_400,
     "animarl_envs.importing": 53_680,
