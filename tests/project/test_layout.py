@@ -95,7 +95,7 @@ ALL_TOKENS = 329_800
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 2_790
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 30_940
+TEST_LINES = 30_960
 """Most lines of Python in the tests; they are to be 24,000."""
 
 
