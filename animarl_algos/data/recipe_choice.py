@@ -4,8 +4,8 @@ A recipe is a section of ``zoo_configs/cloning.yml``: labels, size of the networ
 shared, dropout, updates. Two things decide. First how exact the demonstrated actions are: how far
 the best of them misses the next recorded position under the fitted locomotion, in units of the way
 that one thrust moves the animal in a step. Programs act exactly, animals do not. Recorded animals
-get a recurrent clone. For groups and synthetic animals, with which it gained nothing, the number of
-steps to learn from decides.
+get a recurrent clone. For groups (a recorded shoal gained nothing by it) and synthetic animals, the
+number of steps to learn from decides.
 """
 
 from functools import lru_cache
