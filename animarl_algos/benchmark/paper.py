@@ -46,7 +46,7 @@ the default preset that adapt online."""
 QUICK: dict[str, Any] = {
     "steps": 400,
     "repetitions": 2,
-    "episodes": {"train": 12, "val": 4, "test": 8},
+    "episodes": {"train": 60, "val": 4, "test": 8},
 }
 QUICK_CLONE = {"offline_epochs": 1, "offline_kwargs": {"updates_per_epoch": 10, "warm_up": 2}}
 RECORD_VERSION = 1

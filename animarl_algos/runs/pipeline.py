@@ -53,13 +53,11 @@ def open_run(
     """
     if demos is None:
         demos = load_demonstrations(settings.file, settings.source, settings.species)
-    if folds:
-        demos = next(run_folds(demos, folds))
+    demos = next(run_folds(demos, folds)) if folds else demos
     settings, reasons = with_recipe(settings, demos)
     check_run(settings, demos)
-    run = Run(out)
-    run.path.mkdir(parents=True, exist_ok=True)
-    with run.lock():
+    out.mkdir(parents=True, exist_ok=True)
+    with (run := Run(out)).lock():
         run.start(settings, demos, command, reasons, folds)
     return run
 
@@ -193,13 +191,10 @@ def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:
         rollouts, folds = roll_out(run), run_set.trained_folds(run)
         for fold in folds[1:]:
             roll_out(fold)
-        if folds:
-            rollouts = run_set.joined_rollouts(folds)
+        rollouts = run_set.joined_rollouts(folds) if folds else rollouts
         runs = run_set.RunSet.of(run)
-        evaluated = EvaluatedRuns(
-            runs, rollouts, folds, seed=run.settings.seed, questions=questions
-        )
-        evaluation = evaluated.evaluation
+        judged = EvaluatedRuns(runs, rollouts, folds, seed=run.settings.seed, questions=questions)
+        evaluation = judged.evaluation
         evaluation.save(run.path / "evaluation")
     return evaluation
 

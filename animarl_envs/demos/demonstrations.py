@@ -24,7 +24,7 @@ from animarl_envs.demos.episode import (
     Episode,
     Episodes,
     Resolution,
-    find_resolution,
+    joint_resolution,
     read_only,
 )
 from animarl_envs.errors import InputError
@@ -198,22 +198,8 @@ class Demonstrations(Episodes):
         return np.stack(sides, axis=-1).astype(np.float64) >= HIT_SHARE
 
     def resolution(self) -> Resolution | None:
-        """Return the grid on which all positions lie, such as pixels; None where there is none.
-
-        Where half of the recordings or more have grids of their own, such as after
-        ``--scale-each``, it is one of their median step.
-        """
-        found = find_resolution(self.positions)
-        names, recording = np.unique(self.recording, return_inverse=True)
-        if found is not None or len(names) == 1:
-            return found
-        recording = np.repeat(recording, self.lengths)
-        each = [find_resolution(self.positions[recording == one]) for one in range(len(names))]
-        steps = [one.step for one in each if one is not None and not one.single]
-        if 2 * len(steps) < len(each):
-            return None
-        across, along = np.median(steps, axis=0).tolist()
-        return Resolution((across, along), (0.0, 0.0))
+        """Return the grid on which all positions lie, such as pixels; None where there is none."""
+        return joint_resolution(self.positions, np.repeat(self.recording, self.lengths))
 
     # -- selection --------------------------------------------------------------------------------
 

@@ -389,6 +389,23 @@ def find_resolution(positions: Floats) -> Resolution | None:
     return Resolution((x_step, y_step), (x_origin, y_origin))
 
 
+def joint_resolution(positions: Floats, recording: NDArray[Any]) -> Resolution | None:
+    """Return the grid of all positions ``(frames, K, 2)``; ``recording`` ``(frames,)`` names each.
+
+    Where half of the recordings or more have grids of their own, such as after ``--scale-each``,
+    it is one of their median step.
+    """
+    grid, names = find_resolution(positions), np.unique(recording)
+    if grid is not None or len(names) == 1:
+        return grid
+    each = [find_resolution(positions[recording == one]) for one in names]
+    steps = [one.step for one in each if one is not None and not one.single]
+    if 2 * len(steps) < len(each):
+        return None
+    across, along = np.median(steps, axis=0).tolist()
+    return Resolution((across, along), (0.0, 0.0))
+
+
 def _axis(coordinates: Floats) -> tuple[float, float] | None:
     """Return step and origin on one axis, of coordinates in double or else single precision."""
     distinct = np.unique(coordinates)

@@ -186,7 +186,12 @@ def _draw_distances(axes: Any, demos: Demonstrations, unit: summary.Unit) -> Non
         near = unit.per_arena_unit * np.concatenate(
             [np.linalg.norm(nearest_other(one.positions), axis=2).ravel() for one in demos]
         )
-        axes.hist(near, 40, weights=np.full(len(near), 100.0 / len(near)), color=GREY)
+        axes.hist(
+            near,
+            np.linspace(0.0, max(float(near.max()), 1e-9), 41),
+            weights=np.full(len(near), 100.0 / len(near)),
+            color=GREY,
+        )
         axes.set(title="Distance to the nearest other", xlabel=unit.name, ylabel="% of the time")
         return
     searching = "searcher" in demos.roles

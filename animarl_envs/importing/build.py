@@ -97,6 +97,7 @@ def demonstrations_from_tracks(
         return np.array([one[key] for one in episodes], dtype=kind)
 
     animals = sessions.animals([one.recording for one in cleaned])
+    condition = joined("condition", np.int8)
     length = body_length(marked)
     per_cm = sessions.of(named[0].recording).px_per_cm or recipe.scaling.px_per_cm or 1.0
     rate = recipe.decision_rate or scaled[0].frame_rate
@@ -112,11 +113,9 @@ def demonstrations_from_tracks(
         positions=np.concatenate([one["positions"] for one in episodes]),
         lengths=np.array([len(one["positions"]) for one in episodes]),
         initial_velocity=joined("initial_velocity"),
-        condition=joined("condition", np.int8),
+        condition=condition,
         outcome=joined("outcome", np.int8),
-        split=sessions.splits(
-            joined("recording"), recipe.splitting, joined("condition", np.int8), animals
-        ),
+        split=sessions.splits(joined("recording"), recipe.splitting, condition, animals),
         recording=joined("recording"),
         signals={
             key: np.concatenate([one["signals"][key] for one in episodes])

@@ -85,7 +85,7 @@ NEEDS = {
     "render": "e = gym.make('AnimaRL/Agent-v0', render_mode='rgb_array'); e.reset(); e.render()",
     "data": "from animarl_envs.importing.readers import read; read(sys.argv[1], source='sleap')",
     "data ": "from animarl_envs.importing.readers import read; read(sys.argv[1])",
-    " data": "from animarl_envs.species.traits import fit_traits; fit_traits(*[None] * 4)",
+    " data": "from animarl_envs.species.traits import fit_traits; fit_traits(*[None] * 5)",
 }
 
 
