@@ -182,9 +182,9 @@ class PaperCell:
             Record.of(self, out).save(file)
         if file.exists():
             return Record.load(file), False
-        found = Record.load(there) if there.exists() and not self.quick else None
-        of_steps = found is not None and found.about["steps"] == self.steps
-        return found if of_steps else None, of_steps
+        record = Record.load(there) if there.exists() and not self.quick else None
+        of_steps = record is not None and record.about["steps"] == self.steps
+        return record if of_steps else None, of_steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,11 +281,11 @@ class Record:
 
 def example_starts(test: Demonstrations) -> dict[int, int]:
     """Return the test episode of median length of each condition, by condition."""
-    found = {}
+    starts = {}
     for condition in np.unique(test.condition).tolist():
         own = np.flatnonzero(test.condition == condition)
-        found[condition] = int(own[np.argsort(test.lengths[own], kind="stable")[len(own) // 2]])
-    return found
+        starts[condition] = int(own[np.argsort(test.lengths[own], kind="stable")[len(own) // 2]])
+    return starts
 
 
 def speed_edges(test: Demonstrations) -> Floats:

@@ -36,11 +36,11 @@ def violin(panel: Axes, place: int, values: Floats, colour: str) -> None:
         shapes: Any = panel.violinplot(values, [place], widths=0.8, showextrema=False, points=40)
         for body in shapes["bodies"]:
             body.set(facecolor=colour, edgecolor=colour, alpha=0.35)
-    shown = np.linspace(0, len(values) - 1, min(len(values), MOST_DOTS)).astype(int)
-    aside = 0.1 * ((np.arange(len(shown)) * GOLDEN_RATIO) % 1.0 - 0.5)
+    kept = np.linspace(0, len(values) - 1, min(len(values), MOST_DOTS)).astype(int)
+    aside = 0.1 * ((np.arange(len(kept)) * GOLDEN_RATIO) % 1.0 - 0.5)
     dots: dict[str, Any] = {"markersize": 1.4, "alpha": 0.3, "rasterized": True}
     dots |= {"color": style.TEXT.hex, "markeredgewidth": 0}
-    panel.plot(place + aside, np.sort(values)[shown], ".", **dots)
+    panel.plot(place + aside, np.sort(values)[kept], ".", **dots)
     panel.plot(place, np.median(values), "o", color=colour, markeredgecolor=style.PAGE.hex)
 
 
@@ -53,46 +53,46 @@ def draw_violins(columns: Mapping[str, Groups], rows: Sequence[str]) -> Figure:
         panels = np.reshape(panels, (down, across))
         for (row, key), (column, title) in product(enumerate(rows), enumerate(columns)):
             panel: Axes = panels[row, column]
-            shown = {name: one for name, one in columns[title].items() if key in one[0]}
-            for place, (values, colour) in enumerate(shown.values()):
+            kept = {name: one for name, one in columns[title].items() if key in one[0]}
+            for place, (values, colour) in enumerate(kept.values()):
                 violin(panel, place, values[key].to_numpy(np.float64), colour)
             panel.grid(axis="y", color=style.LINE.hex, linewidth=0.5)
-            panel.set_xticks(range(len(shown)), list(shown))
+            panel.set_xticks(range(len(kept)), list(kept))
             panel.tick_params(axis="x", length=0, rotation=30, labelsize=7)
             panel.set_ylim(bottom=0)
             panel.set(ylabel=labels[key], title="" if row else title)
     return figure
 
 
-def draw_figure4(found: Findings, setting: str) -> Figure:
+def draw_figure4(findings: Findings, setting: str) -> Figure:
     """Draw violins of duration above those of DTW distance, a column for each species."""
     columns = {}
-    for name, truth in found.recorded.items():
+    for name, truth in findings.recorded.items():
         groups = {RECORDED: (truth.drop(columns=DTW.key), style.method_colour(RECORDED))}
         for learner in LEARNERS:
-            if len(own := found.rows(name, setting, learner)):
+            if len(own := findings.rows(name, setting, learner)):
                 groups[style.method_label(learner)] = own, style.method_colour(learner)
         columns[PLURALS[name]] = groups
     return draw_violins(columns, (DURATION.key, DTW.key))
 
 
-def shown_learners(species: str, main: bool) -> tuple[str, str]:
+def compared_learners(species: str, main: bool) -> tuple[str, str]:
     """Return the two learners of Figure 5, or of Text S1."""
     suffix = "-pt" if PRETRAINED[species] == main else ""
     return f"dqdil{suffix}", f"dqcil{suffix}"
 
 
-def draw_figure5(found: Findings, main: bool) -> Figure:
+def draw_figure5(findings: Findings, main: bool) -> Figure:
     """Draw violins of the means from each start: recorded, by condition, and under either cue."""
     columns = {}
     for name in PRETRAINED:
-        if name not in found.tests:
+        if name not in findings.tests:
             continue
-        learners, groups = shown_learners(name, main), dict[str, tuple[pd.DataFrame, str]]()
+        learners, groups = compared_learners(name, main), dict[str, tuple[pd.DataFrame, str]]()
         order = [(RECORDED, False), *product(learners, (False, True))]
         for learner, flip in sorted(order, key=lambda one: one[1]):
             real = learner == RECORDED
-            rows = found.recorded[name] if real else found.rows(name, ONSET, learner, flip)
+            rows = findings.recorded[name] if real else findings.rows(name, ONSET, learner, flip)
             for condition in (0, 1) if len(rows) else ():
                 own = rows[rows["condition"] == condition].groupby("demo")
                 short = "GT" if real else learner[2:5].upper()
@@ -116,34 +116,34 @@ def draw_paths_above(columns: Sequence[tuple[str, str, Floats | None, Floats]]) 
             x, y, half = view_of(species.arena, *known)
             for panel, path, head in zip(pair, (simulated, recorded), (title, RECORDED)):
                 if path is not None:
-                    shown = np.linspace(0, len(path) - 1, min(len(path), MOST_POINTS)).astype(int)
+                    kept = np.linspace(0, len(path) - 1, min(len(path), MOST_POINTS)).astype(int)
                     names = species.roles, species.individuals
-                    draw_paths(panel, path[shown], species.arena, *names)
+                    draw_paths(panel, path[kept], species.arena, *names)
                 panel.set_axis_off()
                 panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
                 panel.set_title(head, fontsize=7.5)
     return figure
 
 
-def draw_figure2(found: Findings) -> Figure:
+def draw_figure2(findings: Findings) -> Figure:
     """Draw one test start of each species."""
     columns = []
-    for name, test in found.tests.items():
-        made = found.of(name, ONSET, SIMULATED)
+    for name, test in findings.tests.items():
+        made = findings.of(name, ONSET, SIMULATED)
         path = next(iter(made[0].paths.values())) if made else None
         columns.append((PLURALS[name], name, path, test.path(example_starts(test)[0])))
     return draw_paths_above(columns)
 
 
-def draw_figure6(found: Findings) -> Figure:
+def draw_figure6(findings: Findings) -> Figure:
     """Draw one start under the given and the other cue: agents of condition 1, silkmoths of 2."""
     columns = []
     for name, condition in (("agent", 0), ("silkmoth", 1)):
-        if name not in found.tests:
+        if name not in findings.tests:
             continue
-        recorded = found.tests[name].path(example_starts(found.tests[name])[condition])
-        for cue, learner in product((condition, 1 - condition), shown_learners(name, True)):
-            made = found.of(name, ONSET, learner)
+        recorded = findings.tests[name].path(example_starts(findings.tests[name])[condition])
+        for cue, learner in product((condition, 1 - condition), compared_learners(name, True)):
+            made = findings.of(name, ONSET, learner)
             path = made[0].paths.get(f"{condition}-{cue}") if made else None
             title = f"{PLURALS[name]}\n{style.method_label(learner)}, {condition + 1}"
             title += "" if cue == condition else f" → {cue + 1}"
@@ -151,12 +151,16 @@ def draw_figure6(found: Findings) -> Figure:
     return draw_paths_above(columns)
 
 
-def panels_by_species(found: Findings, **labels: str) -> tuple[Figure, Iterator[tuple[str, Any]]]:
+def panels_by_species(
+    findings: Findings, **labels: str
+) -> tuple[Figure, Iterator[tuple[str, Any]]]:
     """Return a figure of one row, and its species with their panels; a legend ends each."""
-    figure, panels = style.new_figure(PANEL[0] * len(found.tests), PANEL[1], 1, len(found.tests))
+    figure, panels = style.new_figure(
+        PANEL[0] * len(findings.tests), PANEL[1], 1, len(findings.tests)
+    )
 
     def each() -> Iterator[tuple[str, Any]]:
-        for name, panel in zip(found.tests, np.atleast_1d(panels)):
+        for name, panel in zip(findings.tests, np.atleast_1d(panels)):
             yield name, panel
             panel.set(title=PLURALS[name], **labels)
             if panel.get_legend_handles_labels()[0]:
@@ -165,7 +169,7 @@ def panels_by_species(found: Findings, **labels: str) -> tuple[Figure, Iterator[
     return figure, each()
 
 
-def draw_figure3(found: Findings) -> Figure:
+def draw_figure3(findings: Findings) -> Figure:
     """Draw histograms of speed, areas one."""
     looks: dict[str, dict[str, Any]] = {
         RECORDED: {"fill": True, "color": style.FILL.hex, "alpha": 0.55},
@@ -173,9 +177,9 @@ def draw_figure3(found: Findings) -> Figure:
         JOINT: {"color": style.VERMILION.hex, "linestyle": (0, (3, 2))},
     }
     with style.figure_style():
-        figure, panels = panels_by_species(found, xlabel="Speed (arena units/s)")
+        figure, panels = panels_by_species(findings, xlabel="Speed (arena units/s)")
         for name, panel in panels:
-            rows = found.figure3[found.figure3["species"] == name]
+            rows = findings.figure3[findings.figure3["species"] == name]
             edges = np.append(rows["low"], rows["high"].iloc[-1])
             for key in looks:
                 if key in rows and (total := rows[key].sum()):
@@ -184,11 +188,11 @@ def draw_figure3(found: Findings) -> Figure:
     return figure
 
 
-def draw_adapted(found: Findings) -> Figure:
+def draw_adapted(findings: Findings) -> Figure:
     """Draw realism by steps online, a panel for each species; the clone is dashed."""
-    table = found.adapted[found.adapted["measure"] == REALISM]
+    table = findings.adapted[findings.adapted["measure"] == REALISM]
     with style.figure_style():
-        figure, panels = panels_by_species(found, xlabel="Steps online", ylabel="Realism")
+        figure, panels = panels_by_species(findings, xlabel="Steps online", ylabel="Realism")
         for name, panel in panels:
             own = table[table["species"] == name]
             groups: Any = own.groupby("learner")

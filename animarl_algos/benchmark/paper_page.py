@@ -14,6 +14,7 @@ from animarl_algos.benchmark.paper import ADAPTED, JOINT, LEARNERS, ONSET, PAPER
 from animarl_algos.benchmark.paper_figures import (
     PLURALS,
     PRETRAINED,
+    compared_learners,
     draw_adapted,
     draw_figure2,
     draw_figure3,
@@ -21,7 +22,6 @@ from animarl_algos.benchmark.paper_figures import (
     draw_figure5,
     draw_figure6,
     save_svg,
-    shown_learners,
 )
 from animarl_algos.benchmark.paper_tables import (
     REACHED,
@@ -79,10 +79,10 @@ def value_of(row: Any) -> str:
     return with_interval(Interval(row["value"], row["low"], row["high"]))
 
 
-def table1_page(found: Findings) -> dict[str, str]:
+def table1_page(findings: Findings) -> dict[str, str]:
     """Return Table 1 and a sentence on dampings."""
     rows, ratios = [], dict[str, list[float]]()
-    groups: Any = found.table1.groupby(["species", "individual"], sort=False)
+    groups: Any = findings.table1.groupby(["species", "individual"], sort=False)
     for (name, individual), own in groups:
         kinds = ("published", "true", ONSET, JOINT)
         values = [", ".join(number(value) for value in own[kind]) for kind in kinds]
@@ -97,13 +97,15 @@ def table1_page(found: Findings) -> dict[str, str]:
     return {"table1": markdown_table(head, rows), "table1_words": sentence}
 
 
-def figure4_page(found: Findings) -> dict[str, str]:
+def figure4_page(findings: Findings) -> dict[str, str]:
     """Return the table of Figure 4 and what is nearest, here and in the paper."""
     columns = {REACHED: False, DURATION.key: True, PATH_LENGTH.key: True, DTW.key: True}
     keys = ["species", "learner", "setting", "seeds", "commit"]
     head = [*keys[:2], "world", *keys[3:], REACHED, "duration", "paper", "path length", "paper"]
-    order = [*found.tests, *LEARNERS, ONSET, JOINT].index
-    table = found.figure4.sort_values(keys[:3], key=lambda column: column.map(order), kind="stable")
+    order = [*findings.tests, *LEARNERS, ONSET, JOINT].index
+    table = findings.figure4.sort_values(
+        keys[:3], key=lambda column: column.map(order), kind="stable"
+    )
     theirs = {species: value for (species, *_), value in published("nearest").items()}
     words = []
     groups: Any = table.groupby(["species", "setting"], sort=False)
@@ -119,7 +121,7 @@ def figure4_page(found: Findings) -> dict[str, str]:
             f"{' and '.join(nearest)}. In the paper, by duration: {theirs[name]}."
         )
     shares = [
-        f"{PLURALS[name]} {rows[REACHED].mean():.2f}" for name, rows in found.recorded.items()
+        f"{PLURALS[name]} {rows[REACHED].mean():.2f}" for name, rows in findings.recorded.items()
     ]
     words.append(f"- Share of test recordings that reach the target: {', '.join(shares)}.")
     lines = texts(table, keys, columns)
@@ -129,7 +131,7 @@ def figure4_page(found: Findings) -> dict[str, str]:
     }
 
 
-def figure5_page(found: Findings, main: bool) -> str:
+def figure5_page(findings: Findings, main: bool) -> str:
     """Return the table of Figure 5 or of Text S1."""
     columns = {f"condition {i}": False for i in (1, 2)} | {"condition 1 − 2": True}
     columns |= {"1 → 2": True, "2 → 1": True}
@@ -137,17 +139,17 @@ def figure5_page(found: Findings, main: bool) -> str:
     keys = ["species", "learner", "setting", "quantity", "seeds"]
     head = [*keys[:2], "world", *keys[3:]]
     head += [text for key, beside in columns.items() for text in (key, "paper")[: 1 + beside]]
-    table = found.figure5
+    table = findings.figure5
     pairs = zip(table["species"], table["learner"])
-    shown = [one in (RECORDED, TRUTH, *shown_learners(name, main)) for name, one in pairs]
-    return markdown_table(head, texts(table[shown], keys, columns))
+    chosen = [one in (RECORDED, TRUTH, *compared_learners(name, main)) for name, one in pairs]
+    return markdown_table(head, texts(table[chosen], keys, columns))
 
 
-def adapted_page(found: Findings) -> dict[str, str]:
+def adapted_page(findings: Findings) -> dict[str, str]:
     """Return the table of adapted clones, and whether adapting helps, in one sentence."""
     keys = ["species", "learner", "steps", "seeds", "verdict"]
     columns = {REALISM: False, REACHED: False, DTW.key: False}
-    table, words = found.adapted, []
+    table, words = findings.adapted, []
     groups: Any = table[table["measure"] == REALISM].groupby("species", sort=False)
     for name, own in groups:
         clone, later = own[own["steps"] == 0]["value"].mean(), own[own["steps"] > 0]
@@ -166,27 +168,29 @@ def adapted_page(found: Findings) -> dict[str, str]:
     return {"adapted": markdown_table(head, texts(table, keys, columns)), "headline": sentence}
 
 
-def scope_page(found: Findings) -> str:
+def scope_page(findings: Findings) -> str:
     """Return how many seeds of each cell there are."""
-    total, lines = len(found.scope.seeds), []
-    worlds = [setting for setting in (ONSET, JOINT) if setting in found.scope.settings]
-    for name in found.tests:
+    total, lines = len(findings.scope.seeds), []
+    worlds = [setting for setting in (ONSET, JOINT) if setting in findings.scope.settings]
+    for name in findings.tests:
         line = [PLURALS[name]]
         for learner in LEARNERS:
-            there = learner in found.scope.learners_of(name)
-            counts = [str(len(found.of(name, setting, learner))) for setting in worlds]
+            there = learner in findings.scope.learners_of(name)
+            counts = [str(len(findings.of(name, setting, learner))) for setting in worlds]
             line.append(" / ".join(counts) if there else "one condition")
-        clones = [r for one, r, _ in found.records if one.cell.data == name
+        clones = [r for one, r, _ in findings.records if one.cell.data == name
                   and one.setting.startswith(ADAPTED)]  # fmt: skip
         lines.append([*line, f"{sum(r is not None for r in clones)} of {len(clones)} cells"])
     head = [f"Seeds in the {' / '.join(worlds)} world, of {total}", *map(method_label, LEARNERS)]
     quick = "**This is a quick try: a few episodes and steps. It says nothing.**\n\n"
-    return (quick if found.scope.quick else "") + markdown_table([*head, "adapted clones"], lines)
+    return (quick if findings.scope.quick else "") + markdown_table(
+        [*head, "adapted clones"], lines
+    )
 
 
-def cells_page(found: Findings) -> str:
+def cells_page(findings: Findings) -> str:
     """Return where every record comes from; seconds of those made here are in ``costs.csv``."""
-    rows = [record.about | {"kept": kept} for _, record, kept in found.records if record]
+    rows = [record.about | {"kept": kept} for _, record, kept in findings.records if record]
     keys = ["species", "learner", "setting", "steps", "commit", "kept"]
     lines = []
     groups: Any = pd.DataFrame(rows, columns=[*keys, "seed", "processor_seconds"]).groupby(
@@ -213,31 +217,31 @@ def estimate(left: Iterable[PaperCell]) -> float:
     return total
 
 
-def write_page(found: Findings, folder: Path) -> Path:
+def write_page(findings: Findings, folder: Path) -> Path:
     """Write ``paper.md`` and ``results/paper`` with tables, figures and costs into a folder."""
     figures = {
-        "figure2": draw_figure2(found),
-        "figure3": draw_figure3(found),
-        "figure4": draw_figure4(found, ONSET),
-        "figure4-joint": draw_figure4(found, JOINT),
-        "adapted": draw_adapted(found),
+        "figure2": draw_figure2(findings),
+        "figure3": draw_figure3(findings),
+        "figure4": draw_figure4(findings, ONSET),
+        "figure4-joint": draw_figure4(findings, JOINT),
+        "adapted": draw_adapted(findings),
     }
-    conditions = [get_species(name).conditions for name in PRETRAINED if name in found.tests]
+    conditions = [get_species(name).conditions for name in PRETRAINED if name in findings.tests]
     if conditions:
-        figures["figure5"], figures["text-s1"] = (draw_figure5(found, m) for m in (True, False))
-        figures["figure6"] = draw_figure6(found)
-    left = [one for one, record, _ in found.records if record is None]
-    there = f"{len(found.records) - len(left)} of {len(found.records)} cells are there."
+        figures["figure5"], figures["text-s1"] = (draw_figure5(findings, m) for m in (True, False))
+        figures["figure6"] = draw_figure6(findings)
+    left = [one for one, record, _ in findings.records if record is None]
+    there = f"{len(findings.records) - len(left)} of {len(findings.records)} cells are there."
     rest = f" The same command makes the rest in about {estimate(left) / 3600:.1f} processor hours."
-    words = table1_page(found) | figure4_page(found) | adapted_page(found)
+    words = table1_page(findings) | figure4_page(findings) | adapted_page(findings)
     words |= {
-        "scope": scope_page(found),
+        "scope": scope_page(findings),
         "missing": there + (rest if left else ""),
-        "figure5": figure5_page(found, True),
-        "text_s1": figure5_page(found, False),
+        "figure5": figure5_page(findings, True),
+        "text_s1": figure5_page(findings, False),
         "simulated": method_label(SIMULATED),
-        "seed": str(found.scope.seeds[0]),
-        "cells": cells_page(found),
+        "seed": str(findings.scope.seeds[0]),
+        "cells": cells_page(findings),
     }
     for name, caption in CAPTIONS.items():
         picture = f"![{caption}]({RESULTS.as_posix()}/{name}.svg)"
@@ -245,11 +249,11 @@ def write_page(found: Findings, folder: Path) -> Path:
     for i in (0, 1):
         words[f"conditions{i + 1}"] = " or ".join(names[i] for names in conditions)
     page = Template(Path(__file__).with_name("paper.md").read_text(encoding="utf-8"))
-    costs = pd.DataFrame([record.about for _, record, _ in found.records if record])
+    costs = pd.DataFrame([record.about for _, record, _ in findings.records if record])
     with all_files_or_none(folder / RESULTS) as part:
         costs.to_csv(part / "costs.csv", index=False)
         for name in ("table1", "figure3", "figure4", "figure5", "adapted"):
-            table = getattr(found, name)
+            table = getattr(findings, name)
             table = table if table.empty else table.dropna(axis="columns", how="all")
             table.to_csv(part / f"{name}.csv", index=False, float_format="%.6g")
         for name, figure in figures.items():

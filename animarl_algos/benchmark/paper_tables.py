@@ -215,18 +215,18 @@ class Findings:
                 continue
             draws = Draws.by(np.random.default_rng(SEED))
             captured = self.gather(own, name, "captured")
-            found = {REACHED: bootstrap_mean(captured, draws, share=True)}
+            intervals = {REACHED: bootstrap_mean(captured, draws, share=True)}
             for key in (DURATION.key, PATH_LENGTH.key):
-                found[key] = kde_interval(own, self.recorded[name], key)
+                intervals[key] = kde_interval(own, self.recorded[name], key)
             if learner != "bc" and len(clone):
                 theirs, its = (self.gather(one, name, DTW.key) for one in (clone, own))
-                found[DTW.key] = bootstrap_difference(theirs, its, draws)
+                intervals[DTW.key] = bootstrap_difference(theirs, its, draws)
             commits = {one.about["commit"][:7] for one in self.of(name, setting, learner)}
             head: dict[str, Any] = {"species": name, "setting": setting, "learner": learner}
             head |= {"seeds": own["seed"].nunique(), "commit": " ".join(sorted(commits))}
             rows += [
                 row_of(value, **head, measure=key, published=paper.get((name, learner, key), ""))
-                for key, value in found.items()
+                for key, value in intervals.items()
             ]
         return self._with_earlier(pd.DataFrame(rows, columns=COLUMNS))
 
@@ -269,7 +269,7 @@ class Findings:
         self, test: Demonstrations, sides: Sequence[pd.DataFrame], head: Mapping[str, Any]
     ) -> list[dict[str, Any]]:
         """Return the rows of one learner; ``sides`` are factual, flipped and recorded episodes."""
-        paper, found = published("figure5"), dict[str, Interval]()
+        paper, intervals = published("figure5"), dict[str, Interval]()
         draws, means = Draws.by(np.random.default_rng(SEED)), []
         for condition in (0, 1):
             own, other, true = (
@@ -277,16 +277,16 @@ class Findings:
                 for side in sides
             )
             means.append(bootstrap_mean(own, draws))
-            found[f"condition {condition + 1}"] = means[-1]
+            intervals[f"condition {condition + 1}"] = means[-1]
             if len(sides[1]):
                 shift = bootstrap_difference(own, other, draws)
-                found[f"{condition + 1} → {2 - condition}"] = shift
+                intervals[f"{condition + 1} → {2 - condition}"] = shift
             if head["learner"] != RECORDED:
                 error = bootstrap_difference(own, true, draws)
-                found[f"error, condition {condition + 1}"] = error
-        found["condition 1 − 2"] = subtract(*means)
+                intervals[f"error, condition {condition + 1}"] = error
+        intervals["condition 1 − 2"] = subtract(*means)
         rows = []
-        for row, value in found.items():
+        for row, value in intervals.items():
             text = paper.get((head["species"], head["learner"], row.partition(",")[0]), "")
             beside = text if head["quantity"] == PATH_LENGTH.key else ""
             rows.append(row_of(value, **head, measure=row, published=beside))
@@ -328,10 +328,10 @@ class Findings:
             head["steps"] = int(setting.partition("-")[2])
             head["verdict"] = "; ".join(dict.fromkeys(one.about["verdict"] for one in made))
             captured = self.gather(own, name, "captured")
-            found = {
+            intervals = {
                 REALISM: Interval(float(np.mean([one.about["realism"] for one in made]))),
                 REACHED: bootstrap_mean(captured, draws, share=True),
                 DTW.key: bootstrap_mean(self.gather(own, name, DTW.key), draws),
             }
-            rows += [row_of(value, **head, measure=key) for key, value in found.items()]
+            rows += [row_of(value, **head, measure=key) for key, value in intervals.items()]
         return pd.DataFrame(rows, columns=COLUMNS)

@@ -99,19 +99,19 @@ def paper_command(
     if left and not page:
         worlds = {world.key: world for one in left for world in one.plan.worlds}
         cells = tuple(one.cell for one in left)
-        asked = Plan(left[0].plan.matrix, tuple(worlds.values()), cells, ())
-        bars = StageBars(asked, out, console)
+        remaining = Plan(left[0].plan.matrix, tuple(worlds.values()), cells, ())
+        bars = StageBars(remaining, out, console)
         with bars.progress:
-            for piece, error in perform_all(asked.stages, out, processes):
+            for piece, error in perform_all(remaining.stages, out, processes):
                 bars.update(piece, error)
         failed = bars.failed
         there = [(one, *one.find_record(out, kept)) for one in scope.cells]
     for piece, error in failed:
         console.print(f"\n{piece.name} failed: {error}")
-    found = Findings(scope, there, kept)
-    written = write_page(found, out)
+    findings = Findings(scope, there, kept)
+    written = write_page(findings, out)
     if docs is not None:
-        write_page(found, docs)
+        write_page(findings, docs)
         for one, record, was_kept in there:
             if record is not None and not was_kept:
                 shutil.copyfile(one.record_file(out), docs / RESULTS / f"{one.name}.npz")

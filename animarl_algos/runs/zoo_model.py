@@ -36,18 +36,18 @@ class ZooModel:
         described = next(folder.glob("*/args.yml"), None)
         if described is None:
             return None
-        told = yaml.safe_load(described.read_text(encoding="utf-8"))
+        saved = yaml.safe_load(described.read_text(encoding="utf-8"))
         settings = yaml.safe_load((described.parent / "config.yml").read_text(encoding="utf-8"))
-        if told["algo"] not in RECIPES:
+        if saved["algo"] not in RECIPES:
             raise InputError(
-                f"{folder}: {told['algo']!r} is no learner of this project: load the model with "
+                f"{folder}: {saved['algo']!r} is no learner of this project: load the model with "
                 "rl_zoo3 itself"
             )
         files = [folder / "best_model.zip", folder / f"{described.parent.name}.zip"]
         file = next((file for file in files if file.exists()), None)
         if file is None:
             raise InputError(f"{folder}: it holds no model yet: wait until training has saved one")
-        model = named_recipe(told["algo"]).algorithm.load(file, device="cpu")
+        model = named_recipe(saved["algo"]).algorithm.load(file, device="cpu")
         policy = model.policy
         policy.seed(seed)
         if acting is not None:
@@ -57,7 +57,7 @@ class ZooModel:
         options = dict(settings.get("env_kwargs") or {})
         focal = options.get("focal")
         world = {key: value for key, value in options.items() if key not in OWN_OPTIONS}
-        return cls(model, told["env"], world, focal)
+        return cls(model, saved["env"], world, focal)
 
     def as_joint_policy(self, names: Sequence[str]) -> Any:
         """Return a policy that acts for all individuals, even if only one of them learned."""

@@ -11,7 +11,7 @@ from refusals import refuses
 from scipy import stats
 
 from animarl_algos.benchmark.paper import LEARNERS, Record, Scope
-from animarl_algos.benchmark.paper_figures import PRETRAINED, shown_learners
+from animarl_algos.benchmark.paper_figures import PRETRAINED, compared_learners
 from animarl_algos.benchmark.paper_tables import kde_distance, kde_interval, published
 from animarl_envs.demos.packaged import load_packaged
 
@@ -103,7 +103,7 @@ def test_published_rows_are_of_species_individuals_and_learners() -> None:
     for part in ("figure4", "figure5", "cost"):
         assert {learner for _, learner, _ in published(part)} <= {*LEARNERS, "recorded"}
     for species, learner, _ in published("figure5"):
-        either = {*shown_learners(species, True), *shown_learners(species, False)}
+        either = {*compared_learners(species, True), *compared_learners(species, False)}
         assert species in PRETRAINED and learner in either | {"recorded"}
 
 

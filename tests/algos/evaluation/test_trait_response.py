@@ -1,5 +1,6 @@
 """A clone that shrinks the traits of animals is told them louder, until animals differ enough."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,6 +12,7 @@ from gymnasium import spaces
 from animarl_algos.evaluation.collect import MemorylessPolicy, collect_rollouts
 from animarl_algos.evaluation.trait_response import LARGEST_GAIN, trait_gains
 from animarl_algos.networks.policies import MlpPolicy
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species.traits import Traits, episode_traits
 from animarl_envs.worlds import make_world
@@ -33,7 +35,10 @@ class Eager(MemorylessPolicy):
 def worlds(centre: float = 0.0, scale: float = 1.0) -> tuple[Any, Traits]:
     """Searches whose animals differ in their speed, of such a mean and standard deviation."""
     traits = Traits(np.full((2, 1, 2), centre), np.array([[scale, np.inf]]), TABLE)
-    scenario = make_scenario("silkmoth", traits=traits, split="test", warmup=0, time_limit=150)
+    demos = load_packaged("silkmoth")
+    demos = replace(demos, recording=[str(i) for i in range(demos.num_episodes)])  # each its own
+    options = {"traits": traits, "split": "test", "warmup": 0, "time_limit": 150}
+    scenario = make_scenario("silkmoth", demos=demos, **options)
     return partial(make_world, scenario), traits
 
 
