@@ -161,9 +161,9 @@ def adapted_page(findings: Findings) -> dict[str, str]:
             f"({number(clone)}) at best, {method_label(best['learner'])} after {best['steps']:,} "
             f"steps ({number(best['value'])})"
         )
-    sentence = f"Adapting online makes {'; '.join(words)}." if words else (
-        "Whether adapting online helps is open here: none of its cells is finished."
-    )  # fmt: skip
+    sentence = "Whether adapting online helps is open here: none of its cells is finished."
+    if words:
+        sentence = f"Adapting online makes {'; '.join(words)}."
     head = [*keys, REALISM, REACHED, "DTW distance"]
     return {"adapted": markdown_table(head, texts(table, keys, columns)), "headline": sentence}
 
@@ -178,9 +178,14 @@ def scope_page(findings: Findings) -> str:
             there = learner in findings.scope.learners_of(name)
             counts = [str(len(findings.of(name, setting, learner))) for setting in worlds]
             line.append(" / ".join(counts) if there else "one condition")
-        clones = [r for one, r, _ in findings.records if one.cell.data == name
-                  and one.setting.startswith(ADAPTED)]  # fmt: skip
-        lines.append([*line, f"{sum(r is not None for r in clones)} of {len(clones)} cells"])
+        clones = [
+            record
+            for one, record, _ in findings.records
+            if one.cell.data == name and one.setting.startswith(ADAPTED)
+        ]
+        lines.append(
+            [*line, f"{sum(record is not None for record in clones)} of {len(clones)} cells"]
+        )
     head = [f"Seeds in the {' / '.join(worlds)} world, of {total}", *map(method_label, LEARNERS)]
     quick = "**This is a quick try: a few episodes and steps. It says nothing.**\n\n"
     return (quick if findings.scope.quick else "") + markdown_table(
@@ -198,8 +203,8 @@ def cells_page(findings: Findings) -> str:
     )
     for (name, learner, setting, steps, commit, kept), own in groups:
         seeds, seconds = (", ".join(map(str, own[key])) for key in ("seed", "processor_seconds"))
-        lines.append([PLURALS[name], method_label(learner), setting, f"{steps:,}", commit[:7],
-                      seeds, seconds if kept else "`costs.csv`"])  # fmt: skip
+        line = [PLURALS[name], method_label(learner), setting, f"{steps:,}", commit[:7]]
+        lines.append([*line, seeds, seconds if kept else "`costs.csv`"])
     return markdown_table([*keys[:5], "seeds", "processor seconds"], lines)
 
 

@@ -11,7 +11,8 @@ bearings, place in the arena) of all individuals, each summed up by its mean, sp
 median. These are unsigned, so a path cannot be told from the same path reversed, or circles from a
 search. Long windows, up to a quarter of an episode, are therefore described by the measures of
 :mod:`animarl_algos.evaluation.order_in_time`. A row is not judged where closed-loop tracking is
-told as well, by the same kind of feature: that is the file or the locomotion, not the policy.
+recognised as well, by the same kind of feature: then it is the file or the locomotion, not the
+policy.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ AUC, SEQUENCE = "auc", "auc_sequence"
 LITTLE_AUC = 0.60
 """Alike up to this area: two normal curves 0.36 standard deviations apart."""
 NEAR_TRACKING = 0.02
-"""Tracking is told as well as a simulation whose area is larger by no more."""
+"""Tracking is recognised as well as a simulation if its area is smaller by no more."""
 
 
 # -- windows --------------------------------------------------------------------------------------
@@ -303,7 +304,7 @@ class ClassifierResult:
 
     @property
     def tells_tracking_as_well(self) -> bool:
-        """Whether closed-loop tracking is told by the same kind, and hardly worse."""
+        """Whether tracking is recognised by the same kind of feature, and hardly worse."""
         floor = self.areas.get("floor", UNDEFINED).estimate
         same = bool(self.tracking_part) and self.tracking_part == self.main_part
         return same and self.auc.estimate <= floor + NEAR_TRACKING

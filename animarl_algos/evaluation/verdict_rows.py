@@ -508,7 +508,7 @@ def classifier_row(key: str, label: str, result: ClassifierResult) -> Row:
     by = f", most of all by {part}" if part else ""
     if judgement in (DIFFERS, LITTLE) and result.tells_tracking_as_well:
         judgement = UNKNOWN
-        reason = f"perfect control in this locomotion is told as well{by}"
+        reason = f"perfect control in this locomotion is recognised as well{by}"
     words = judgement
     if judgement in (DIFFERS, LITTLE):
         pairs = f"a classifier tells simulated from recorded in {100 * area.estimate:.0f} of 100"

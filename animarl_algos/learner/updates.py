@@ -18,7 +18,7 @@ from animarl_algos.networks.layers import DropoutDraws, Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.replay.store import SequenceBatch
+from animarl_algos.replay.store import BY_STEP, SequenceBatch
 from animarl_envs.array_types import Floats
 from animarl_envs.errors import InputError
 
@@ -211,21 +211,6 @@ def sequence_priorities(minibatch: MinibatchValues) -> Floats | None:
     mean = errors.sum(dim=1) / minibatch.valid.sum(dim=1).clamp(min=1)
     mixed = PRIORITY_MAX_SHARE * errors.amax(dim=1) + (1.0 - PRIORITY_MAX_SHARE) * mean
     return np.asarray(mixed.cpu().numpy(), dtype=np.float64)
-
-
-BY_STEP = (
-    "observations",
-    "previous_actions",
-    "actions",
-    "rewards",
-    "penalties",
-    "terminated",
-    "mask",
-    "labels",
-    "action_penalties",
-    "label_shares",
-)
-"""Fields of a batch whose second axis is time."""
 
 
 def _without_burn_in(batch: SequenceBatch) -> SequenceBatch:

@@ -258,3 +258,8 @@ GATHERED = (
     "action_penalties",
     "label_shares",
 )
+"""Names of what :func:`_gather` returns, in its order."""
+BY_STEP = tuple(
+    one for one in GATHERED if one not in ("starts", "lengths", "condition", "initial_state")
+)
+"""Fields of a batch whose second axis is time."""

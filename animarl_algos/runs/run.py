@@ -451,7 +451,7 @@ class Run:
         for network in (model.policy.q_net, model.policy.q_net_target):
             network.amplify_inputs(components, gains)
         factors = ", ".join(f"{name} {gain:.2g}" for name, gain in zip(TRAITS, gains))
-        reason = {f"traits of {algo}": f"told louder, or animals were too much alike: {factors}"}
+        reason = {f"traits of {algo}": f"amplified, or animals were too much alike: {factors}"}
         self._write_record(self.record | {"reasons": self.record.get("reasons", {}) | reason})
 
     def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:

@@ -17,7 +17,7 @@ from animarl_envs.errors import InputError
 
 @dataclass(frozen=True)
 class ZooModel:
-    """A trained policy, the id of its environment, the options of its world, and who learned."""
+    """A trained policy, the id of its environment, the options of its world, and its individual."""
 
     policy: Any
     env: str

@@ -29,7 +29,7 @@ JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is fla
 MOST_LISTED_JUMPS = 20
 FEWER_THAN = 1000  # points to one outlier of the extent of an arena
 EMPTY_RING = 3.0  # times the distance of the others from the middle: nothing lies between
-LEAST_POINTS = 100  # by which an outlier is told
+LEAST_POINTS = 100  # of an extent in which outliers are looked for
 
 
 @dataclass(frozen=True, kw_only=True)
