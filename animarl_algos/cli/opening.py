@@ -203,23 +203,22 @@ class _Handler(BaseHTTPRequestHandler):
     server: RunsServer
 
     def do_GET(self) -> None:
+        if not self._of_this_host():
+            self._send(HTTPStatus.FORBIDDEN, "This server answers on this computer alone.")
+            return
         place, query = self._place()
         runs = list_runs(self.server.folder)
         one = runs.get(query.get("run", ""))
         recordings = {file.name: file for file in sorted(self.server.folder.glob("*.npz"))}
         recording = recordings.get(query.get("recording", ""))
-        if not self._of_this_host():
-            self._send(HTTPStatus.FORBIDDEN, "This server answers on this computer alone.")
-        elif place == "/":
+        if place == "/":
             self._send(HTTPStatus.OK, self._list(runs, list(recordings.values())), LIST_POLICY)
         elif place == "/page" and one is not None and one.page.is_file():
             self._send(HTTPStatus.OK, one.page.read_bytes(), PAGE_POLICY)
         elif place == "/thumbnail" and one is not None and one.thumbnail:
             self._send(HTTPStatus.OK, one.thumbnail, PAGE_POLICY, SVG)
-        elif (
-            place == "/picture" and recording is not None and recording.with_suffix(".png").exists()
-        ):
-            self._send(HTTPStatus.OK, recording.with_suffix(".png").read_bytes(), PAGE_POLICY, PNG)
+        elif place == "/picture" and recording and (file := recording.with_suffix(".png")).exists():
+            self._send(HTTPStatus.OK, file.read_bytes(), PAGE_POLICY, PNG)
         else:
             self._send(HTTPStatus.NOT_FOUND, "There is no such page.")
 

@@ -48,10 +48,9 @@ class Splitting(Checked):
 
 def deal(demos: Demonstrations, settings: Splitting) -> Demonstrations:
     """Return the same episodes, dealt anew to train, val and test."""
-    animals: Mapping[str, str] = demos.provenance.get("animals", {})
-    return replace(
-        demos, split=split_recordings(demos.recording, settings, demos.condition, animals)
-    )
+    animals = demos.provenance.get("animals")
+    split = split_recordings(demos.recording, settings, demos.condition, animals)
+    return replace(demos, split=split)
 
 
 def learnable(demos: Demonstrations) -> Demonstrations:
@@ -96,16 +95,16 @@ def run_folds(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
 def cross_validated(
     demos: Demonstrations, folds: int, validation: float | None = None
 ) -> Iterator[Demonstrations]:
-    """Yield the demonstrations once per fold: each episode is test once, val once, else train.
+    """Yield the demonstrations once per fold: each episode is test once, else val or train.
 
     Episodes of a recording, and of an animal that is named, stay together, unless there are fewer
-    than three of them. The split that they had before has no influence. With ``validation``, such a
-    share of what is not tested is val in each fold, so that few folds leave enough to train on.
+    than three of them. The split that they had before has no influence. Each episode is val once;
+    with ``validation``, such a share of what is not tested is val in each fold instead, so that few
+    folds leave enough to train on.
     Raises InputError if there are fewer than three folds, or fewer recordings (or episodes) than
     folds.
     """
-    animals: Mapping[str, str] = demos.provenance.get("animals", {})
-    dealt = np.array([animals.get(name, name) for name in demos.recording.tolist()])
+    dealt = _animals_of(demos.recording, demos.provenance.get("animals", {}))
     if len(np.unique(dealt)) < FEWEST_RECORDINGS:
         dealt = np.arange(len(demos)).astype(str)
     names = np.random.default_rng(0).permutation(np.unique(dealt))
@@ -138,7 +137,7 @@ def split_recordings(
     together.
     """
     by = settings.by
-    animal = np.array([(animals or {}).get(name, name) for name in recording.tolist()])
+    animal = _animals_of(recording, animals or {})
     if by == "auto":
         by = "recording" if len(np.unique(animal)) >= FEWEST_RECORDINGS else "episode"
     groups = animal
@@ -155,6 +154,11 @@ def split_recordings(
             )
         groups = np.array(first)
     return _stratified_splits(groups, settings, condition)
+
+
+def _animals_of(recording: NDArray[np.str_], animals: Mapping[str, str]) -> NDArray[np.str_]:
+    """Return the animal of each recording, or its own name where none is stated."""
+    return np.array([animals.get(name, name) for name in recording.tolist()])
 
 
 def _stratified_splits(
