@@ -3,6 +3,8 @@
 # make test-core [PYTHON=python3.13]   the environments alone, without what learns, on any Python
 # make slow   the tests that take minutes
 # make coverage   the tests of make test, and which lines none of them reached
+# make results   the test split of every data set once more, three seeds, and the tables of
+#             docs/results; hours, and goes on where it was interrupted
 # make docs   the documentation site, in docs/_build/html; warnings are errors
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
 # make locks   constraints.txt with hashes, and what other systems need beside it, with uv
@@ -26,7 +28,7 @@ N ?= 20000
 M ?= 10000
 SEED ?= 0
 
-.PHONY: demo test test-core coverage slow docs locks mutants fuzz lint types clean
+.PHONY: demo results test test-core coverage slow docs locks mutants fuzz lint types clean
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
@@ -46,6 +48,10 @@ coverage: $(STAMP)
 
 slow: $(STAMP)
 	$(PYTEST) -m slow
+
+results: $(STAMP)
+	$(BIN)/python benchmarks/faithful.py --test --seed 0 --seed 1 --seed 2 --out docs/results/test
+	$(BIN)/python docs/make_results_tables.py
 
 docs: $(STAMP)
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html

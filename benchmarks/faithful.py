@@ -33,7 +33,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -68,6 +68,7 @@ from animarl_envs.species import CUSTOM, SPECIES
 from animarl_envs.worlds import make_world
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+TEST_TABLE = Path(__file__).parents[1] / "docs" / "results" / "test" / "faithful.csv"
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
 READ = " How often this split was read is said [beside the results](../README.md)."
 FOLDS = 6  # of the cross-validation over recordings, where there are few
@@ -439,7 +440,7 @@ def main(
     split = "test" if test or unseen else "val"
     number = rollouts or (QUICK_ROLLOUTS if quick else ROLLOUTS)
     (out / "imported").mkdir(parents=True, exist_ok=True)
-    lines: list[dict[str, Any]] = []
+    chosen = []
     for one in sets:
         quickly = one.importing is None and one.folds == 1 and not one.name.endswith(STOPPED)
         if (only and one.name not in only) or (quick and not quickly):
@@ -452,30 +453,48 @@ def main(
             continue
         if unseen:
             seeds = [own_seed(one.load(out))]
-        for s in (seed or seeds)[: 1 if quick else None]:
-            clone = algo if cloning == CHOSEN else f"{algo}-{cloning}"
-            cell = out / "cells" / f"{one.label}-{clone}-{s}-{split}-{number}"
-            if not (cell / "cell.json").exists():
-                judged(one, out, algo, s, split, number, cloning).save(cell)
-            found = Verdict.load(cell)
-            done = json.loads((cell / "cell.json").read_text())
-            console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")
-            console.print(verdict_table(found, Words.of(one.load(out / "imported"))))
-            whole = done.pop("whole", False)  # older cells do not say
-            head = {
-                "set": one.label,
-                "group": one.group,
-                "seed": s,
-                "headline": found.headline,
-                "page": found.colour,
-                **done,
-            }
-            took = done["seconds"] if whole else math.nan
-            lines += [head | row for row in bar_rows(one, found, took)]
+        chosen += [(one, s) for s in (seed or seeds)[: 1 if quick else None]]
+    clone = algo if cloning == CHOSEN else f"{algo}-{cloning}"
+    cells = {
+        (one, s): out / "cells" / f"{one.label}-{clone}-{s}-{split}-{number}" for one, s in chosen
+    }
+    missing = [key for key, cell in cells.items() if not (cell / "cell.json").exists()]
+    if missing:
+        console.print(f"{len(missing)} of {len(cells)} cells to make, {estimated_time(missing)}")
+    lines: list[dict[str, Any]] = []
+    for (one, s), cell in cells.items():
+        if (one, s) in missing:
+            judged(one, out, algo, s, split, number, cloning).save(cell)
+        found = Verdict.load(cell)
+        done = json.loads((cell / "cell.json").read_text())
+        console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")
+        console.print(verdict_table(found, Words.of(one.load(out / "imported"))))
+        whole = done.pop("whole", False)  # older cells do not say
+        head = {
+            "set": one.label,
+            "group": one.group,
+            "seed": s,
+            "headline": found.headline,
+            "page": found.colour,
+            **done,
+        }
+        took = done["seconds"] if whole else math.nan
+        lines += [head | row for row in bar_rows(one, found, took)]
     if lines:
         table = with_others(pd.DataFrame(lines), out / "faithful.csv")
         write(table, out, split)
         console.print(markdown(table), soft_wrap=True, highlight=False, markup=False)
+
+
+def estimated_time(cells: Sequence[tuple[DataSet, int]]) -> str:
+    """Return how long cells take by the times of the last table of the test split, in words."""
+    earlier = pd.read_csv(TEST_TABLE).drop_duplicates(["set", "seed"])
+    seconds = earlier.groupby("set")["seconds"].mean()
+    known = [float(seconds[one.label]) for one, _ in cells if one.label in seconds]
+    if not known:
+        return "of unknown duration"
+    hours = sum(known) / len(known) * len(cells) / 3600
+    return f"about {hours:.1f} h of processor time; what is finished is kept, run it again to go on"
 
 
 OLDER_NAMES = {"difference_low": "low", "difference_high": "high", "overall": "headline"}

@@ -177,6 +177,9 @@ def forest(
     with one_panel(6.4, 0.8 + 0.24 * len(rows), "") as (figure, panel):
         draw_forest(panel, rows, say)
         panel.tick_params(axis="y", labelsize=7.5)
+        for word in WORD_COLOURS:
+            panel.plot([], [], "o", color=WORD_COLOURS[word].hex, markersize=5, label=word)
+        figure.legend(loc="outside upper left", ncols=len(WORD_COLOURS))
     return figure
 
 

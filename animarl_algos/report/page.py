@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from animarl_algos.report.style import COLOURS, Image, figure_style
+from animarl_algos.report.style import COLOURS, Image
 from animarl_envs.drawing.palette import to_hex
 from animarl_envs.files import write_then_rename
 
@@ -37,11 +37,6 @@ POLICY = (
 """What the browser lets the page do: run its script and load nothing."""
 PAGE_FILE, FIGURES = "report.html", "figures"
 LONGEST_NAME = 60  # of a figure's file
-FORMATS: dict[str, dict[str, Any]] = {
-    "svg": {"metadata": {"Date": None}},
-    "png": {"dpi": 200, "metadata": {"Software": None}},
-    "pdf": {"metadata": {"CreationDate": None}},
-}  # without dates: the same figure gives the same bytes
 
 
 # -- blocks ---------------------------------------------------------------------------------------
@@ -207,11 +202,8 @@ class Page:
         """Write the page as ``report.html``, and every figure of it into ``figures``."""
         write_page(self, folder / PAGE_FILE)
         for name, image in self.figures():
-            image.figure.set_layout_engine(None)  # placed when the page drew it
-            for suffix, options in FORMATS.items():
-                file = folder / FIGURES / f"{name}.{suffix}"
-                with figure_style(), write_then_rename(file) as part:
-                    image.figure.savefig(part, format=suffix, **options)
+            with write_then_rename(folder / FIGURES / f"{name}.svg") as part:
+                part.write_text(image.drawing, encoding="utf-8")
 
     def figures(self) -> Iterator[tuple[str, Image]]:
         """Yield the images of all galleries, named by section, place and what they show."""

@@ -22,7 +22,6 @@ from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, dt
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.report import figures, style
-from animarl_algos.report.page import FORMATS
 from animarl_algos.report.verdict_section import forest_rows
 from animarl_algos.report.words import Words
 from animarl_envs.array_types import Floats
@@ -42,6 +41,11 @@ COLUMN = 55.0  # narrowest panel where several stand side by side [mm]
 ROW_HEIGHT = 48.0  # [mm]
 QUESTION_HEIGHT = 3.6  # of a row of the verdict [mm]
 INCH = 25.4  # [mm]
+FORMATS: dict[str, dict[str, Any]] = {
+    "svg": {"metadata": {"Date": None}},
+    "png": {"dpi": 600, "metadata": {"Software": None}},
+    "pdf": {"metadata": {"CreationDate": None}},
+}  # without dates: the same figure gives the same bytes
 PAPER: dict[str, Any] = {
     "pdf.fonttype": 42,  # texts that can be edited
     "font.size": 7.0,
@@ -292,9 +296,8 @@ def write_panels(
     kind = out.suffix.removeprefix(".").lower()
     require(kind in FORMATS, f"{out}: the suffix says the format: choose .pdf, .svg or .png")
     figure, tables = draw_panels(sides, names, width)
-    options = FORMATS[kind] | ({"dpi": 600} if kind == "png" else {})
     with style.figure_style(PAPER), write_then_rename(out) as part:
-        figure.savefig(part, format=kind, **options)
+        figure.savefig(part, format=kind, **FORMATS[kind])
     written = [out]
     for name, table in tables.items():
         written.append(out.with_name(f"{out.stem}-{name}.csv"))

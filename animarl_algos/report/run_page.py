@@ -227,9 +227,9 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
         )
     )
     measured = set(evaluation.comparison["measure"])
-    for metric in (m for m in METRICS if m.caption and m.key in measured):
-        yield Text(metric.label, "heading")
-        yield Gallery(list(_metric_images(inputs, metric)), adapt(metric.caption))
+    metrics = [metric for metric in METRICS if metric.caption and metric.key in measured]
+    images = [image for metric in metrics for image in _metric_images(inputs, metric)]
+    yield Gallery(images, adapt(" ".join(metric.caption for metric in metrics)))
     table = comparison_as_table(
         evaluation, inputs.words, list(countings(evaluation.comparison)), inputs.learner
     )

@@ -102,6 +102,7 @@ RC: Any = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 7.0,
+    "axes.titley": 1.0,  # no search for what stands above the axes: nothing does
     "axes.labelsize": 9.0,
     "axes.labelcolor": TEXT.hex,
     "axes.edgecolor": MUTED.hex,
@@ -125,16 +126,6 @@ RC: Any = {
         "major.size": 3.0,
     }.items()
 }
-
-
-def themed(drawing: str) -> str:
-    """Return a drawing in the page's colours: ``var(--text, #2b2b2f)`` for ``#2b2b2f``."""
-
-    def variable(match: re.Match[str]) -> str:
-        name = _BY_HEX.get(match[0])
-        return f"var(--{name}, {match[0]})" if name else match[0]
-
-    return re.sub(r"#[0-9a-f]{6}\b", variable, drawing)
 
 
 def method_colour(name: str, position: int = 0) -> str:
@@ -183,11 +174,20 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> 
 
 @dataclass(frozen=True)
 class Image:
-    """A figure for a web page: a drawing to stand in it, its words, and what it was drawn from."""
+    """A figure for a web page, or for a file of its own, and its words."""
 
-    drawing: str  # an svg element, its colours variables of the page's style sheet
+    drawing: str  # an svg element
     alt: str
-    figure: Figure
+
+    @property
+    def themed(self) -> str:
+        """The drawing in the page's colours: ``var(--text, #2b2b2f)`` for ``#2b2b2f``."""
+
+        def variable(match: re.Match[str]) -> str:
+            name = _BY_HEX.get(match[0])
+            return f"var(--{name}, {match[0]})" if name else match[0]
+
+        return re.sub(r"#[0-9a-f]{6}\b", variable, self.drawing)
 
 
 def to_image(figure: Figure, alt: str) -> Image:
@@ -211,7 +211,7 @@ def to_image(figure: Figure, alt: str) -> Image:
         'style="stroke-linejoin: round; stroke-linecap: butt">'
     )
     body = drawing[drawing.index(">") + 1 :].strip()
-    return Image(themed(opening + body), alt, figure)
+    return Image(opening + body, alt)
 
 
 def _with_own_ids(drawing: str) -> str:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -124,7 +125,7 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
             f"{100 * verdict.rank_p:.2g} % of experiments."
         )
     yield Gallery(images, words.adapt(caption))
-    yield verdict_as_table(verdict, words)
+    yield replace(verdict_as_table(verdict, words), folded="All numbers of the verdict")
     scores = verdict.components
     if scores is None or scores.empty:
         return

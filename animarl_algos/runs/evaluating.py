@@ -330,8 +330,8 @@ def evaluate_runs(
 ) -> EvaluatedRuns:
     """Write the results of :func:`compare_runs` to ``out``: all of them or nothing.
 
-    ``out`` gets every table of the evaluation as CSV and Parquet, ``figures/`` as SVG, PNG and PDF,
-    and ``report.html``. The same runs give the same bytes.
+    ``out`` gets every table of the evaluation as CSV and Parquet, ``figures/`` as SVG and
+    ``report.html``. The same runs give the same bytes.
 
     Raises
     ------

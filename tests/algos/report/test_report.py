@@ -123,7 +123,8 @@ def test_inputs_that_do_not_belong_together_are_refused() -> None:
 def test_a_drawing_stands_in_a_page_and_alone() -> None:
     figure, panel = new_figure(2.0, 1.0)
     panel.plot([0, 1], [0, 1], color="#2b2b2f")
-    drawing = to_image(figure, 'a "line" & more').drawing
+    image = to_image(figure, 'a "line" & more')
+    drawing = image.drawing
     again, panel = new_figure(2.0, 1.0)
     panel.plot([0, 1], [1, 0], color="#2b2b2f")
     other = to_image(again, "another").drawing
@@ -131,7 +132,8 @@ def test_a_drawing_stands_in_a_page_and_alone() -> None:
     assert ids[0] and ids[0].isdisjoint(ids[1])
     used = re.findall(r'(?:xlink:href="#|url\(#)([\w-]+)', drawing)
     assert used and set(used) == ids[0]
-    assert "var(--text, #2b2b2f)" in drawing and "<style" not in drawing
+    assert "var(--text, #2b2b2f)" in image.themed and "<style" not in drawing
+    assert "#2b2b2f" in drawing and "var(" not in drawing
     root = ElementTree.fromstring(drawing)
     assert root.get("aria-label") == 'a "line" & more'
 

@@ -29,7 +29,7 @@ from animarl_algos.evaluation.verdict_rows import COLOURS as WORD_COLOURS
 from animarl_algos.report import player as playing
 from animarl_algos.report.page import SCRIPTS, TEMPLATES, Player, as_data
 from animarl_algos.report.player import LEVELS, at_ranks, examples, factual_rollouts, run_player
-from animarl_algos.report.style import COLOURS, FLOOR, PAGE, PURSUERS, RAISED, TARGET, TEXTS, themed
+from animarl_algos.report.style import COLOURS, FLOOR, PAGE, PURSUERS, RAISED, TARGET, TEXTS, Image
 from animarl_algos.report.verdict_section import verdict_as_table, verdict_lead, verdict_sentence
 from animarl_algos.report.words import Words, cautions, number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -395,7 +395,7 @@ def test_colours_stand_in_one_table() -> None:
 
 
 def test_a_drawing_takes_the_pages_colours() -> None:
-    assert themed("fill: #2b2b2f; stroke: #123456") == (
+    assert Image("fill: #2b2b2f; stroke: #123456", "").themed == (
         "fill: var(--text, #2b2b2f); stroke: #123456"
     )
 
