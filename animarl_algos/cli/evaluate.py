@@ -175,8 +175,9 @@ def whatif_command(
 ) -> None:
     """Predict what would happen in a changed world.
 
-    The policies are not trained again. Every answer is a difference from the unchanged world with
-    a 95 % interval, and a warning if inputs leave the range of training.
+    The policies are not trained again. Of a run that was cross-validated, the policies of all folds
+    answer together. Every answer is a difference from the unchanged world with a 95 % interval, and
+    a warning if inputs leave the range of training.
 
     What can be changed: speed, thrust, damping and start of an individual (prey.speed), of a kind
     (predators.thrust) or of all (all.damping); arena, contact and time_limit; condition=NAME, if
@@ -201,6 +202,7 @@ def whatif_command(
     """
     from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.report.verdict_section import terminal_table
+    from animarl_algos.runs import run_set
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
     from animarl_algos.whatif.answer import ask
@@ -211,6 +213,8 @@ def whatif_command(
     register_measures(measure)
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
+    if len(loaded) == 1:
+        loaded = run_set.ensemble(loaded[0])
     known = None if truth is None else find_truth(truth, loaded[0], repetitions)
     nulls: list[Run] = []
     if permutations:

@@ -211,6 +211,11 @@ def trained_folds(run: Run) -> tuple[Run, ...]:
     return tuple(folds) if trained else ()
 
 
+def ensemble(run: Run) -> list[Run]:
+    """Return a run and the other folds of it: simulators of the same animals to ask together."""
+    return [run, *(fold for fold in trained_folds(run) if fold.path != run.path)]
+
+
 def _number(folder: Path) -> tuple[int, int]:
     """Return the number of a fold, from 1, and how many there are."""
     number, _, folds = folder.name.partition("-of-")

@@ -416,7 +416,7 @@ class _Comparison:
         true: tuple[Rollouts, Rollouts] | None = None,
     ) -> Iterator[dict[str, Any]]:
         """Yield one row per quantity."""
-        covers = "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
+        covers = "starts and training runs" if len(self.runs) > 1 else "starts, for this network"
         counts = np.ones(len(changed), dtype=bool)
         if scenario.condition is not None:
             index = self.species.conditions.index(scenario.condition)

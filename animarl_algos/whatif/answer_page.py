@@ -145,7 +145,7 @@ def answer_page(result: WhatIf, command: str = "", versions: Mapping[str, str] =
     names = [answer.scenario.name for answer in result.answers]
     sentences = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in result.answers]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    rollouts = f"{result.repetitions} from each start" + f" and of {result.runs} training seeds" * (
+    rollouts = f"{result.repetitions} from each start" + f" and of {result.runs} training runs" * (
         result.runs > 1
     )
     return page.Page(

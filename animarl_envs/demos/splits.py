@@ -98,9 +98,9 @@ def cross_validated(
     """Yield the demonstrations once per fold: each episode is test once, else val or train.
 
     Episodes of a recording, and of an animal that is named, stay together, unless there are fewer
-    than three of them. The split that they had before has no influence. Each episode is val once;
-    with ``validation``, such a share of what is not tested is val in each fold instead, so that few
-    folds leave enough to train on.
+    than three of them. Every condition is spread evenly over the folds. The split that they had
+    before has no influence. Each episode is val once; with ``validation``, such a share of what is
+    not tested is val in each fold instead, so that few folds leave enough to train on.
     Raises InputError if there are fewer than three folds, or fewer recordings (or episodes) than
     folds.
     """
@@ -113,13 +113,16 @@ def cross_validated(
             f"{demos.name}: {folds} folds of {len(names)} recordings or episodes: give "
             f"{FEWEST_FOLDS} folds at least, and no more than there are of them"
         )
+    conditions = _conditions_by_group(dealt, demos.condition)
+    names = names[np.argsort([conditions[name] for name in names.tolist()], kind="stable")]
     fold = {name: i % folds for i, name in enumerate(names.tolist())}
     own = np.array([fold[name] for name in dealt.tolist()])
     for number in range(folds):
         tested, validated = own == (number + 1) % folds, own == number
         if validation is not None:
             kept = [name for name in names.tolist() if fold[name] != (number + 1) % folds]
-            validated = np.isin(dealt, kept[: max(1, round(validation * len(kept)))])
+            count = max(1, round(validation * len(kept)))
+            validated = np.isin(dealt, [kept[i * len(kept) // count] for i in range(count)])
         split = np.where(validated, "val", "train")
         split[tested] = "test"
         yield replace(demos, split=split)
@@ -169,10 +172,8 @@ def _stratified_splits(
     Groups of several conditions are dealt by themselves. Where a condition has too few groups for
     three splits, all are dealt together.
     """
-    strata = {name: set[int]() for name in groups.tolist()}
-    for name, one in zip(groups.tolist(), [0] * len(groups) if condition is None else condition):
-        strata[name].add(int(one))
-    kinds = np.array([str(sorted(strata[name])) for name in groups.tolist()])
+    conditions = _conditions_by_group(groups, condition)
+    kinds = np.array([conditions[name] for name in groups.tolist()])
     dealt = np.full(len(groups), SPLITS[0])
     for kind in np.unique(kinds):
         own = kinds == kind
@@ -180,6 +181,16 @@ def _stratified_splits(
             return assign_splits(groups, settings.seed, settings.fractions)
         dealt[own] = assign_splits(groups[own], settings.seed, settings.fractions)
     return dealt
+
+
+def _conditions_by_group(
+    groups: NDArray[np.str_], condition: NDArray[np.integer] | None
+) -> dict[str, str]:
+    """Return the conditions that the episodes of each group are of, as a text."""
+    found = {name: set[int]() for name in groups.tolist()}
+    for name, one in zip(groups.tolist(), [0] * len(groups) if condition is None else condition):
+        found[name].add(int(one))
+    return {name: str(sorted(some)) for name, some in found.items()}
 
 
 def assign_splits(

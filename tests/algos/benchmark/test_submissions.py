@@ -19,7 +19,7 @@ from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.splits import cross_validated
+from animarl_envs.demos.splits import cross_validated, run_folds
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
@@ -184,6 +184,20 @@ def test_every_episode_is_test_once_and_val_once(recordings: Demonstrations) -> 
     assert sorted(np.concatenate(tested).tolist()) == list(range(12))
     for count in (2, 7):
         refuses(f"{count} folds of 6 recordings", list, cross_validated(recordings, count))
+
+
+def test_folds_hold_every_condition_and_whole_animals() -> None:
+    few = load_packaged("agent").select(episodes=np.arange(24))
+    names = np.array([f"r{i}" for i in range(24)])
+    animals = {name: f"animal {i // 2}" for i, name in enumerate(names)}
+    condition = (np.arange(24) < 12).astype(np.int8)  # the first six animals
+    mixed = replace(few, recording=names, condition=condition, provenance={"animals": animals})
+    for fold in run_folds(mixed, 3):
+        for split, count in (("test", 4), ("val", 1), ("train", 6)):
+            chosen = fold.condition[fold.split == split]
+            assert np.bincount(chosen, minlength=2).min() >= count, (split, chosen)
+        pairs = fold.split.reshape(-1, 2)
+        assert (pairs[:, 0] == pairs[:, 1]).all()
 
 
 @pytest.mark.slow
