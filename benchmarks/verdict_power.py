@@ -19,12 +19,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from tqdm.auto import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
 from animarl_algos.evaluation.classifier import classify_all
 from animarl_algos.evaluation.verdict import compare
 from animarl_algos.evaluation.verdict_rows import ALIKE, DIFFERS, LITTLE, UNKNOWN, classifier_row
+from animarl_algos.learner.progress import progress_display
 from benchmarks.known_worlds import FAULTS, SETTINGS, WORLDS
 
 EACH = 5  # rollouts from every start
@@ -35,12 +37,14 @@ SEEN = 0.8  # of runs, in which a fault should be found
 
 
 def judgements(
-    world: str, simulator: str, starts: int, run: int, *, classifiers: bool
+    world: str, simulator: str, starts: int, run: int, bar: tqdm, *, classifiers: bool
 ) -> list[str]:
     """Return the words of all questions of one simulated experiment.
 
-    With ``classifiers`` those of classifiers come last, unless a measure differs already.
+    With ``classifiers`` those of classifiers come last, unless a measure differs already. The
+    ``bar`` counts starts.
     """
+    bar.update(starts)
     names = [PERFECT, *FAULTS, *SETTINGS]
     rng = np.random.default_rng([run, starts, names.index(simulator), [*WORLDS].index(world)])
     known = WORLDS[world]
@@ -59,7 +63,12 @@ def judgements(
 
 
 def perfect_rows(
-    worlds: Sequence[str], starts: Sequence[int], many: Sequence[int], runs: int, judged: int
+    worlds: Sequence[str],
+    starts: Sequence[int],
+    many: Sequence[int],
+    runs: int,
+    judged: int,
+    bar: tqdm,
 ) -> Iterator[str]:
     """Yield the table of perfect simulators."""
     yield "| world | recordings | runs | something differs | page green | alike | not known |"
@@ -69,7 +78,7 @@ def perfect_rows(
             times = FEW if number in many else runs
             last = 0 if number in many else judged
             words = [
-                judgements(world, PERFECT, number, run, classifiers=run < last)
+                judgements(world, PERFECT, number, run, bar, classifiers=run < last)
                 for run in range(times)
             ]
             counted = [
@@ -81,7 +90,7 @@ def perfect_rows(
 
 
 def fault_rows(
-    worlds: Sequence[str], faults: Sequence[str], runs: int, *, classifiers: bool
+    worlds: Sequence[str], faults: Sequence[str], runs: int, bar: tqdm, *, classifiers: bool
 ) -> Iterator[str]:
     """Yield the table of faults."""
     yield f"| fault | {' | '.join(worlds)} |"
@@ -93,12 +102,16 @@ def fault_rows(
                 cells.append("–")
                 continue
             words = [
-                judgements(world, fault, FAULT_STARTS, r, classifiers=False) for r in range(runs)
+                judgements(world, fault, FAULT_STARTS, r, bar, classifiers=False)
+                for r in range(runs)
             ]
             if classifiers and np.mean([DIFFERS in each for each in words]) < SEEN:
                 for run, each in enumerate(words):
                     if DIFFERS not in each:
-                        words[run] = judgements(world, fault, FAULT_STARTS, run, classifiers=True)
+                        bar.total += FAULT_STARTS
+                        words[run] = judgements(
+                            world, fault, FAULT_STARTS, run, bar, classifiers=True
+                        )
             found = np.mean([DIFFERS in each for each in words])
             green = np.mean([is_green(each) for each in words])
             cells.append(f"{100 * found:.0f} %, {100 * green:.0f} %")
@@ -131,11 +144,16 @@ def main() -> None:
     runs, judged, fault_runs, many = args.runs, args.judged, args.fault_runs, args.many
     if args.quick:
         runs, judged, fault_runs, many = 5, 0, 1, []
-    for line in perfect_rows(args.worlds, args.starts, many, runs, judged):
-        print(line, flush=True)
-    print(f"\nFaults, {FAULT_STARTS} recordings: something differs, page green\n")
-    for line in fault_rows(args.worlds, args.faults, fault_runs, classifiers=judged > 0):
-        print(line, flush=True)
+    perfect = sum(args.starts) * runs + sum(many) * FEW
+    known = [WORLDS[world].faults for world in args.worlds]
+    faulty = sum(fault in there for there in known for fault in args.faults) * FAULT_STARTS
+    total = perfect * len(args.worlds) + faulty * fault_runs
+    with progress_display("simulated experiments", "start", total) as bar:
+        for line in perfect_rows(args.worlds, args.starts, many, runs, judged, bar):
+            print(line, flush=True)
+        print(f"\nFaults, {FAULT_STARTS} recordings: something differs, page green\n")
+        for line in fault_rows(args.worlds, args.faults, fault_runs, bar, classifiers=judged > 0):
+            print(line, flush=True)
     print(f"\n{time.process_time():.0f} s of processor time", file=sys.stderr)
 
 
