@@ -263,7 +263,7 @@ def _metric_images(inputs: ReportInputs, metric: Metric) -> Iterator[Image]:
         figure = figures.interval_rows(
             means,
             words.axis(metric),
-            title=title.capitalize(),
+            title=f"{metric.label}: {title}",
             label=words.label,
             reference=means[names[0]].estimate if metric.of_recordings else None,
             **look,

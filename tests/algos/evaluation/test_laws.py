@@ -1,5 +1,7 @@
 """The simple law that a simulator should beat: what it recovers, and what it does not know."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,12 +21,22 @@ def test_a_law_recovers_the_numbers_that_it_was_simulated_with() -> None:
         turn=np.array([[0.0, 0.2, 0.4], [0.05, 0.1, 0.0]]),
         edges=np.array([[0.5, 1.0]] * 2),
         gains=np.array([[-0.2, 0.0, 0.2], [0.0, 0.0, 0.0]]),
+        navigation=np.zeros(2),
     )
     again = Law.fit(law.rollouts(prepared, np.random.default_rng(1)))
     assert again.speed == pytest.approx(law.speed, abs=0.03)
     assert again.turn == pytest.approx(law.turn, abs=0.05)
     assert again.gains[0, 0] < -0.02 and again.gains[0, 2] > 0.1  # other zones
     assert np.abs(again.gains[1]).max() < 0.05
+
+
+def test_a_law_of_a_chase_recovers_proportional_navigation() -> None:
+    prepared = Prepared(WORLDS["chase"].recordings(30, np.random.default_rng(0)))
+    fitted = Law.fit(prepared.recorded)
+    law = replace(fitted, gains=0 * fitted.gains, navigation=np.array([2.0, 0.0]))
+    again = Law.fit(law.rollouts(prepared, np.random.default_rng(1)))
+    assert again.navigation == pytest.approx(law.navigation, abs=0.3)
+    assert np.abs(again.gains).max() < 0.1
 
 
 def test_a_law_pursues_the_target_and_keeps_animals_of_a_shoal_apart() -> None:
