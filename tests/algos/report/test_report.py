@@ -37,10 +37,11 @@ def test_the_page_has_every_section() -> None:
     assert not page.open
     for heading in (
         "A run", "Verdict", "Trajectories", "Speeds and distances", "Metrics",
-        "Target reached", "Path length", "Duration", "DTW distance",
         "How this was made",
     ):  # fmt: skip
         assert heading in page.headings
+    for title in ("Path length: all episodes", "Duration: captures only", "Target reached: "):
+        assert title in report_page()
     assert all(link.startswith("#") and link[1:] in page.ids for link in page.links)
     assert len(page.drawings) > 15 and all(page.drawings)
 
