@@ -34,7 +34,6 @@ EXTRA_MODULES = frozenset(
         "safetensors",
         "sb3_contrib",
         "scipy",
-        "sklearn",
         "sleap_io",
         "stable_baselines3",
         "tensorboard",
@@ -45,7 +44,7 @@ EXTRA_MODULES = frozenset(
         "yaml",
     }
 )
-"""Modules of the packages in the extras; movement brings loguru, scikit-learn threadpoolctl."""
+"""Modules of the packages in the extras; movement brings loguru."""
 _APPENDED_BY_GYMNASIUM = " was raised from the environment creator for "
 
 

@@ -21,12 +21,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation import order_in_time, statistics
+from animarl_algos.evaluation.boosting import FEWEST, LEVELS, BoostedTrees, Levels
 from animarl_algos.evaluation.metrics import ORDER_METRICS
 from animarl_algos.evaluation.prepared import WINDOW, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -55,18 +55,6 @@ NEAR_CHANCE = (1.0, 4.0)  # standard errors above 0.5: only there, more deals ma
 NULL_HALVES = 3
 MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
 BOOTSTRAP = 1000
-LEVELS = 63  # of a feature, as many as the trees tell apart
-TREES: dict[str, Any] = {
-    "max_iter": 50,
-    "learning_rate": 0.1,
-    "max_leaf_nodes": 8,
-    "min_samples_leaf": 10,
-    "l2_regularization": 1.0,
-    "max_bins": LEVELS + 1,
-    "early_stopping": False,
-    "random_state": 0,
-}
-
 LEVEL = 0.01  # of each classifier, at either end of its interval
 MIN_RECORDINGS = 3  # for an interval
 PART = 15  # windows of a part, where whole demonstrations are too few for a fit
@@ -336,9 +324,6 @@ def classify(
         No more deals than ``DEALS`` where the area is so far from chance, or so near, that more
         would not change what a row says: for a benchmark, which asks for that alone.
     """
-    from sklearn.ensemble import HistGradientBoostingClassifier
-    from threadpoolctl import threadpool_limits
-
     first, second = _thinned(first, rng), _thinned(second, rng)
     values = _levels(np.concatenate([first.values, second.values]))
     simulated = np.repeat([False, True], [len(first), len(second)])
@@ -354,38 +339,33 @@ def classify(
     drawn = _resampled(kind, resampler)
     fallen: dict[str, list[float]] = {}
     auc, splits = UNDEFINED, False
-    with threadpool_limits(1):  # looking for the thread pools takes longer than to score windows
-        for deal in range(most):
-            fold = _deal(kind, folds, rng)[group]
-            for number in range(folds):
-                test = fold == number
-                here, there, left = simulated[test], group[test], simulated[~test]
-                if len(np.unique(here)) < 2:
-                    continue
-                weights = np.where(left, 0.5 / left.mean(), 0.5 / (1.0 - left.mean()))
-                model = HistGradientBoostingClassifier(**TREES)
-                score = model.fit(values[~test], left, sample_weight=weights).decision_function
-                splits |= len(left) >= 2 * TREES["min_samples_leaf"]
-                won, met = _compare(score(values[test]), here, there, len(names))
-                wins += won
-                pairs += met
-                for what in dict.fromkeys(first.kinds.tolist()) if importance and not deal else ():
-                    shuffled, columns = values[test], first.kinds == what
-                    shuffled[:, columns] = shuffler.permutation(shuffled[:, columns])
-                    without, _ = _compare(score(shuffled), here, there, len(names))
-                    fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
-            if not splits:
-                reason = "too few windows for a tree to split: all scores are tied"
-                return ClassifierResult(Interval(math.nan, reason=reason))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                above, all_met = (np.einsum("rg,rg->r", drawn @ s, drawn) for s in (wins, pairs))
-                auc = statistics.percentile_interval(
-                    float(wins.sum() / pairs.sum()), above / all_met
-                )
-            auc = widen_for_folds(auc, folds)
-            low, high = NEAR_CHANCE
-            if until_clear and deal + 1 >= DEALS and not low <= _errors_above_chance(auc) <= high:
-                break
+    for deal in range(most):
+        fold = _deal(kind, folds, rng)[group]
+        for number in range(folds):
+            test = fold == number
+            here, there, left = simulated[test], group[test], simulated[~test]
+            if len(np.unique(here)) < 2:
+                continue
+            score = BoostedTrees.fit(values[~test], left).score
+            splits |= len(left) >= 2 * FEWEST
+            won, met = _compare(score(values[test]), here, there, len(names))
+            wins += won
+            pairs += met
+            for what in dict.fromkeys(first.kinds.tolist()) if importance and not deal else ():
+                shuffled, columns = values[test], first.kinds == what
+                shuffled[:, columns] = shuffler.permutation(shuffled[:, columns])
+                without, _ = _compare(score(shuffled), here, there, len(names))
+                fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
+        if not splits:
+            reason = "too few windows for a tree to split: all scores are tied"
+            return ClassifierResult(Interval(math.nan, reason=reason))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            above, all_met = (np.einsum("rg,rg->r", drawn @ s, drawn) for s in (wins, pairs))
+            auc = statistics.percentile_interval(float(wins.sum() / pairs.sum()), above / all_met)
+        auc = widen_for_folds(auc, folds)
+        low, high = NEAR_CHANCE
+        if until_clear and deal + 1 >= DEALS and not low <= _errors_above_chance(auc) <= high:
+            break
     return ClassifierResult(auc, {what: float(np.mean(by)) for what, by in fallen.items()})
 
 
@@ -435,19 +415,15 @@ def _thinned(windows: Windows, rng: np.random.Generator) -> Windows:
     return Windows(windows.values[kept], windows.group[kept], windows.kinds)
 
 
-def _levels(values: Floats) -> Floats:
-    """Return each feature as its quantile level among all windows, -1 where it is not defined.
-
-    Trees ask for nothing but the order. The library would find the levels again in every fit, which
-    takes it ten times as long as to grow the trees.
-    """
-    levels = np.full(values.shape, -1.0)
+def _levels(values: Floats) -> Levels:
+    """Return each feature as its quantile level among all windows, 0 where it is not defined."""
+    levels = np.zeros(values.shape, dtype=np.uint8)
     for column in range(values.shape[1]):
         known = np.isfinite(values[:, column])
         if known.any():
             ordered = values[known, column]
-            edges = np.unique(np.quantile(ordered, np.arange(1, LEVELS) / LEVELS))
-            levels[known, column] = np.searchsorted(edges, ordered, side="right")
+            edges = np.unique(np.quantile(ordered, np.arange(1, LEVELS - 1) / (LEVELS - 1)))
+            levels[known, column] = 1 + np.searchsorted(edges, ordered, side="right")
     return levels
 
 

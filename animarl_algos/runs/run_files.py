@@ -24,7 +24,6 @@ PACKAGES = (
     "numpy",
     "pettingzoo",
     "sb3-contrib",
-    "scikit-learn",
     "scipy",
     "stable-baselines3",
     "torch",

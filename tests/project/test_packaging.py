@@ -62,7 +62,7 @@ def test_versions_are_fixed_in_the_constraints_alone() -> None:
     assert "torch==" not in (ROOT / "Makefile").read_text()
 
 
-BROUGHT = {"loguru": "movement", "threadpoolctl": "scikit-learn"}
+BROUGHT = {"loguru": "movement"}
 
 
 def test_modules_of_extras_are_of_their_packages() -> None:
@@ -167,7 +167,7 @@ def test_animals_are_watched_without_what_learns(tmp_path: Path, more: tuple[str
     enough = [*CORE, *EXTRAS["render"], *EXTRAS["cli"]]
     here = {re.split(r"[<>=]", line)[0] for line in enough}
     asked = {re.split(r"[<>=]", line)[0] for e in ("algos", "data") for line in EXTRAS[e]}
-    modules = {"scikit-learn": "sklearn", "pyyaml": "yaml"}
+    modules = {"pyyaml": "yaml"}
     absent = {modules.get(name, name).replace("-", "_") for name in asked - here}
     assert {"torch", "stable_baselines3", "scipy", "pandas"} <= absent
     script = WATCHED.replace("{absent}", repr(absent))

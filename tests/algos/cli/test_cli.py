@@ -328,7 +328,7 @@ def test_examples_of_the_data_commands_run(
         assert "--out" not in words or (tmp_path / words[words.index("--out") + 1]).exists()
 
 
-LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "sklearn", "matplotlib"}
+LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib"}
 HEAVY = {"numba", "scipy", "pandas"}
 ANIMARL = "from animarl_algos.cli.main import main; main()"
 
