@@ -117,7 +117,9 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         "with its interval; within the band it is alike. Arrows leave the picture."
     )
     if verdict.ranks and math.isfinite(verdict.rank_p):
-        images.append(to_image(rank_histograms(verdict.ranks), "Ranks of the recordings"))
+        images.append(
+            to_image(rank_histograms(verdict.ranks), words.adapt("Ranks of the recordings"))
+        )
         caption += (
             " Beside it the rank of each recording among the rollouts from its start (Besag and "
             "Clifford 1989): uniform for a perfect simulator, high at both ends where rollouts are "
