@@ -17,8 +17,10 @@ update      one update at the paper's batch, 32 episodes of 3 individuals, all i
 offline     one epoch over the 400 episodes of the training split, in batches of 16.
 paper run   Agent, DQDIL, the paper's settings: a stretch of real training, and the evaluation of 5
             rollouts from each of 50 starts, extrapolated to 1,005,000 steps of the world.
-CartPole    feed-forward DQN here and in stable-baselines3, learning: same widths, batch and
-            frequency of updates, transitions drawn uniformly, no weight decay; the two in turns.
+CartPole    feed-forward DQN and QRDQN here and in stable-baselines3 and sb3-contrib: same widths,
+            batch and frequency of updates, transitions drawn uniformly, no weight decay; the two in
+            turns, by processor time, the ratio a median. Here the network is dueling and is asked
+            about the next state too (double Q); there it is not.
 
 A figure is the best of many short repeats, the one least disturbed by whatever else runs; between
 processes of different sessions Linux shares the processor evenly whatever their nice level, so on a
@@ -40,6 +42,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import sb3_contrib
 import stable_baselines3
 import torch
 from rich.console import Console
@@ -51,7 +54,7 @@ from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.pretraining import validation_figures
-from animarl_algos.recipes.registry import DQDIL, DQN, named_recipe
+from animarl_algos.recipes.registry import DQDIL, named_recipe
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world
@@ -205,63 +208,6 @@ def paper_run(steps: int) -> tuple[float, float, float]:
     return training + evaluation, evaluation, per_update
 
 
-def cartpole_rates(seconds: float) -> tuple[float, float]:
-    """Environment steps per second of learning, here and in stable-baselines3."""
-    shared: dict[str, Any] = {
-        "learning_rate": 1e-3,
-        "buffer_size": 20_000,
-        "learning_starts": 100,
-        "batch_size": BATCH,
-        "train_freq": 4,
-        "target_update_interval": 10_000,
-        "seed": 1,
-        "device": "cpu",
-    }
-    as_there: dict[str, Any] = {"sequence_length": 1, "prioritized": False, "lambda1": 0.0}
-    here = DQN("MlpPolicy", gym.make("CartPole-v1"), **as_there, **shared)
-    widths = {"net_arch": [here.policy.q_net.units] * 2}
-    there = stable_baselines3.DQN(
-        "MlpPolicy", gym.make("CartPole-v1"), policy_kwargs=widths, **shared
-    )
-    steps = 400
-    best = [float("inf"), float("inf")]
-    for model in (here, there):
-        model.learn(1000)
-    until = time.perf_counter() + 2.0 * seconds
-    while time.perf_counter() < until:
-        for i, model in enumerate((here, there)):
-            start = time.perf_counter()
-            model.learn(steps, reset_num_timesteps=False)
-            best[i] = min(best[i], time.perf_counter() - start)
-    return steps / best[0], steps / best[1]
-
-
-def profile_update(mean_length: int = 57, updates: int = 40, rows: int = 12) -> Table:
-    """Where the time of an update of DQDIL goes: each operation's own time, without its parts'."""
-    model = filled_learner("dqdil", mean_length)
-    model.train(3, BATCH)
-    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
-        model.train(updates, BATCH)
-    operations = profiler.key_averages()
-    total = sum(operation.self_cpu_time_total for operation in operations)
-    table = Table(title=f"One update of DQDIL, mean length {mean_length}, by operation")
-    table.add_column("operation")
-    for heading in ("own time", "ms", "calls"):
-        table.add_column(heading, justify="right")
-    for operation in sorted(operations, key=lambda each: -each.self_cpu_time_total)[:rows]:
-        table.add_row(
-            operation.key,
-            f"{operation.self_cpu_time_total / total:.0%}",
-            f"{operation.self_cpu_time_total / updates / 1000:.2f}",
-            f"{operation.count / updates:.0f}",
-        )
-    table.add_section()
-    table.add_row(
-        "all, replay and NumPy between them left out", "", f"{total / updates / 1000:.2f}"
-    )
-    return table
-
-
 class Report:
     """The table, a row as soon as it is measured."""
 
@@ -289,6 +235,116 @@ class Report:
             f"{aim:.3g} s" if aim else "",
             aim is not None and seconds <= aim,
         )
+
+
+def cartpole_learners(algo: str, units: int, batch: int) -> tuple[Any, Any]:
+    """A learner of CartPole here and its counterpart, alike in all settings, memories filled."""
+    shared: dict[str, Any] = {
+        "learning_rate": 1e-3,
+        "buffer_size": 20_000,
+        "learning_starts": 100,
+        "batch_size": batch,
+        "train_freq": 4,
+        "gradient_steps": 1,
+        "target_update_interval": 10_000,
+        "seed": 1,
+        "device": "cpu",
+    }
+    as_there: dict[str, Any] = {"sequence_length": 1, "prioritized": False, "lambda1": 0.0}
+    quantiles = algo == "qr-dqn"
+    shapes: tuple[dict[str, Any], ...] = ({"hidden": units}, {"net_arch": [units] * 2})
+    if quantiles:
+        shapes[0]["n_quantiles"] = shapes[1]["n_quantiles"] = 50
+    env = partial(gym.make, "CartPole-v1")
+    named = named_recipe(algo).algorithm
+    here = named("MlpPolicy", env(), policy_kwargs=shapes[0], **as_there, **shared)
+    peer = sb3_contrib.QRDQN if quantiles else stable_baselines3.DQN
+    there = peer("MlpPolicy", env(), policy_kwargs=shapes[1], **shared)
+    for model in (here, there):
+        model.learn(2000)
+    return here, there
+
+
+def rates_in_turns(
+    pair: tuple[Any, Any], act: Callable[[Any], Any], count: int, seconds: float
+) -> tuple[float, float, float]:
+    """Rates per second of two models at best, and the median ratio of the first to the second."""
+    best, ratios = [float("inf"), float("inf")], []
+    until = time.perf_counter() + 2.0 * seconds
+    while time.perf_counter() < until:
+        times = []
+        for i, model in enumerate(pair):
+            start = time.process_time()
+            act(model)
+            times.append(time.process_time() - start)
+            best[i] = min(best[i], times[i])
+        ratios.append(times[1] / times[0])
+    return count / best[0], count / best[1], float(np.median(ratios))
+
+
+def report_peers(report: Report, seconds: float) -> None:
+    """Add rows of learning CartPole, of updates and of decisions, beside SB3 and sb3-contrib."""
+    observation = np.zeros(4, dtype=np.float32)
+    for algo, units, batch in (
+        ("dqn", 64, 32),
+        ("dqn", 256, 256),
+        ("qr-dqn", 64, 32),
+        ("qr-dqn", 256, 256),
+    ):
+        pair = cartpole_learners(algo, units, batch)
+        name = f"{algo}, MlpPolicy, {units} wide"
+        measures: list[tuple[str, Callable[[Any], Any], int]] = [
+            (f"updates, {name}, batch {batch}", lambda model: model.train(10, model.batch_size), 10)
+        ]
+        if (algo, units) == ("dqn", 64):
+            measures += [
+                (
+                    f"CartPole, {name}",
+                    lambda model: model.learn(400, reset_num_timesteps=False),
+                    400,
+                ),
+                (
+                    f"predict of one row, {name}",
+                    lambda model: [model.predict(observation) for _ in range(50)],
+                    50,
+                ),
+            ]
+        for what, act, count in measures:
+            here, there, ratio = rates_in_turns(pair, act, count, seconds)
+            report.table.add_row(
+                what,
+                f"{here:,.0f} /s",
+                f"{there:,.0f} /s (SB3)",
+                f"{ratio:.2f} x",
+                "1",
+                "yes" if ratio >= 1 else "no",
+            )
+
+
+def profile_update(mean_length: int = 57, updates: int = 40, rows: int = 12) -> Table:
+    """Where the time of an update of DQDIL goes: each operation's own time, without its parts'."""
+    model = filled_learner("dqdil", mean_length)
+    model.train(3, BATCH)
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
+        model.train(updates, BATCH)
+    operations = profiler.key_averages()
+    total = sum(operation.self_cpu_time_total for operation in operations)
+    table = Table(title=f"One update of DQDIL, mean length {mean_length}, by operation")
+    table.add_column("operation")
+    for heading in ("own time", "ms", "calls"):
+        table.add_column(heading, justify="right")
+    for operation in sorted(operations, key=lambda each: -each.self_cpu_time_total)[:rows]:
+        table.add_row(
+            operation.key,
+            f"{operation.self_cpu_time_total / total:.0%}",
+            f"{operation.self_cpu_time_total / updates / 1000:.2f}",
+            f"{operation.count / updates:.0f}",
+        )
+    table.add_section()
+    table.add_row(
+        "all, replay and NumPy between them left out", "", f"{total / updates / 1000:.2f}"
+    )
+    return table
 
 
 def print_devices(console: Console, updates: int) -> None:
@@ -365,16 +421,8 @@ def main() -> None:
         f"{AIM_RUN / 60:.0f} min",
         seconds <= AIM_RUN,
     )
-    here, there = cartpole_rates(budget.seconds)
     report.table.add_section()
-    report.table.add_row(
-        "CartPole, DQN, MlpPolicy",
-        f"{here:,.0f} steps/s",
-        f"SB3: {there:,.0f} steps/s",
-        f"{here / there:.2f} x",
-        "as fast as SB3",
-        "yes" if here >= there else "no",
-    )
+    report_peers(report, budget.seconds / 2)
     console.print(report.table)
     load = os.getloadavg()[0]
     console.print(

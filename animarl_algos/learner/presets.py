@@ -95,7 +95,9 @@ def resolve_settings(
     ``algo`` and ``pretrained`` name the learner's files: as it is, and, if it has one, for
     ``offline_epochs`` above 0. The species of ``env`` has a section of its own, and so have a few
     ordinary tasks, which holds for the policy that it names alone. A table in ``given`` goes over
-    the preset's key by key, and None empties it. Raises InputError if a setting is unknown.
+    the preset's key by key, and None empties it; ``train_freq`` without ``gradient_steps`` has one
+    of these, since a preset's number belongs to its own ``train_freq``. Raises InputError if a
+    setting is unknown.
     """
     given = check_settings(given)
     section = section_of(env)
@@ -107,7 +109,8 @@ def resolve_settings(
     if given.get("offline_epochs") and not settings.offline_epochs and pretrained is not None:
         settings = learner_preset(pretrained, section).settings
     tables = {name: getattr(settings, name) | given[name] for name in TABLES if given.get(name)}
-    return settings.changed(**{**given, **tables})
+    paired = {"gradient_steps": 1} if "train_freq" in given else {}
+    return settings.changed(**{**paired, **given, **tables})
 
 
 def section_of(env: Any) -> str:

@@ -1,5 +1,6 @@
 """Updates: when they are due, and one gradient step on a minibatch."""
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -104,10 +105,20 @@ def minibatch_values(
         online_state = _burn_in(online, batch)
         target_state = _burn_in(target, batch) if needs_target else None
     batch = _without_burn_in(batch)
-    last_states = last_states or needs_target
-    lengths, time = batch.lengths.cpu().numpy() + last_states, batch.num_steps + last_states
-    packing = Packing.from_lengths(lengths, time, batch.observations.device)
     observations, previous = batch.observations, batch.previous_actions
+    successors = None
+    if needs_target and batch.num_steps == 1 and not online.recurrent:
+        # The states after single steps need no gradient, those before no target.
+        after = observations[:, 1:], previous[:, 1:]
+        with torch.no_grad():
+            successors, target_output = online(*after), target(*after)
+        packing = Packing.full(1, batch.batch_size, observations.device)
+        last_states = needs_target = False
+    else:
+        target_output = None
+        last_states = last_states or needs_target
+        lengths, time = batch.lengths.cpu().numpy() + last_states, batch.num_steps + last_states
+        packing = Packing.from_lengths(lengths, time, observations.device)
     if not last_states:
         observations, previous = observations[:, :-1], previous[:, :-1]
     masks = None
@@ -115,7 +126,7 @@ def minibatch_values(
         layers = online.depth + online.recurrent
         masks = dropout.masks(layers, batch.batch_size, online.units)
         masks = None if masks is None else masks.to(observations.device)
-    output, target_output = online(observations, previous, online_state, packing, masks), None
+    output = online(observations, previous, online_state, packing, masks)
     if needs_target:
         with torch.no_grad():
             target_output = target(
@@ -129,6 +140,7 @@ def minibatch_values(
         valid=batch.mask > 0,
         online=output,
         target=target_output,
+        successors=successors,
         treatment_logits=None if logits is None else logits[:, : batch.num_steps],
         parameters=online.all_parameters,
         shared=online.shared_parameters,
@@ -159,13 +171,14 @@ def update(
     phase = minibatch.phase
     active = [term for term in terms if term.weight(phase) > 0]
     losses = {term.name: term(minibatch) for term in active}
-    total = sum(
-        term.weight(phase) * losses[term.name].sum()
+    summed = [
+        losses[term.name].sum() * term.weight(phase)
         for term in active
         if not isinstance(term, WeightDecay)
-    )
-    if not isinstance(total, torch.Tensor):
+    ]
+    if not summed:
         raise InputError(f"all {phase.name} loss weights are 0: set at least one above 0")
+    total = functools.reduce(torch.add, summed)
     if not math.isfinite(total.item()):
         rate = "learning_rate" if phase.name == "online" else "offline_learning_rate"
         by_name = ", ".join(f"{name} {loss.detach().tolist()}" for name, loss in losses.items())
@@ -251,7 +264,7 @@ def standardise_inputs(policy: GruPolicy, buffer: SequenceReplayBuffer, *, done:
     What was standardised before, in the offline phase too, stays, and so do the inputs that a
     network has learned from in an offline phase as they were: ``done`` says that it is over.
     """
-    if done or torch.isfinite(policy.q_net.input_limit).all():
+    if done or policy.q_net.standardised:
         return
     mean, sd = (torch.from_numpy(each).to(policy.device) for each in buffer.moments())
     for network in (policy.q_net, policy.q_net_target):

@@ -57,7 +57,9 @@ class MinibatchValues:
 
     ``online`` and ``target`` are what both networks say of all states, the last included
     (:class:`animarl_algos.networks.networks.QOutput`); there is no ``target`` if no term asks for
-    it, and then the last states may be left out too.
+    it, and then the last states may be left out too. Of single steps without a memory, ``online``
+    has the states before them, ``successors`` (of the online network, without gradient) and
+    ``target`` those after them.
     """
 
     batch: SequenceBatch  # its leading burn_in steps already cut off
@@ -68,6 +70,7 @@ class MinibatchValues:
     target: Any
     treatment_logits: torch.Tensor | None  # (K, T, B); None without a treatment head
     parameters: Sequence[torch.Tensor]  # the online network's, each (K, ...)
+    successors: Any = None
     shared: Sequence[torch.Tensor] = ()  # those of them that all individuals have in common
     errors: torch.Tensor | None = None  # (K, T, B), absolute, set by temporal differences
 
@@ -91,10 +94,11 @@ class MinibatchValues:
         that many rewards come before the value, as far as the sequence goes on: at its end fewer.
         """
         batch, phase = self.batch, self.phase
-        best = self.online.q_values.detach().argmax(-1)  # ties: the lowest index
-        bootstrap = self.target.of_actions(best)[:, 1:]  # without gradient, as all of the target
-        goes_on = ~(batch.terminated > 0)
-        discount = (phase.gamma * goes_on.to(rewards.dtype)).unsqueeze(-1)
+        best = (self.successors or self.online).q_values.detach().argmax(-1)  # ties: the lowest
+        bootstrap = self.target.of_actions(best)  # without gradient, as all of the target
+        if self.successors is None:
+            bootstrap = bootstrap[:, 1:]
+        discount = (phase.gamma * (1.0 - batch.terminated)).unsqueeze(-1)
         rewards = rewards.unsqueeze(-1)
         target: torch.Tensor = rewards + discount * bootstrap
         if phase.n_steps > 1:
@@ -151,8 +155,12 @@ class TemporalDifference(LossTerm):
             rewards = rewards - minibatch.phase.alpha * batch.penalties
         target = minibatch.double_q_target(rewards)
         td_loss = minibatch.distribution.td_loss
-        with_last = functional.pad(minibatch.batch.actions, (0, 0, 0, 1))  # none is taken there
-        loss, minibatch.errors = td_loss(minibatch.online.of_actions(with_last)[:, :-1], target)
+        if minibatch.successors is None:
+            with_last = functional.pad(batch.actions, (0, 0, 0, 1))  # none is taken there
+            taken = minibatch.online.of_actions(with_last)[:, :-1]
+        else:
+            taken = minibatch.online.of_actions(batch.actions)
+        loss, minibatch.errors = td_loss(taken, target)
         return masked_mean(loss, minibatch.valid, batch.weights)
 
 

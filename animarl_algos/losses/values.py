@@ -105,6 +105,8 @@ def _loss_and_gradient(current, target, tau, loss, gradient):  # type: ignore[no
 
 def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
     """Pick one action's outputs: (..., actions, quantiles) and (...) to (..., quantiles)."""
+    if values.shape[-1] == 1:
+        return values.squeeze(-1).gather(-1, actions.unsqueeze(-1))
     index = actions[..., None, None].expand(*actions.shape, 1, values.shape[-1])
     return values.gather(-2, index).squeeze(-2)
 
@@ -146,7 +148,7 @@ def masked_mean(
     the loss was made of there is finite. Weights scale the loss and not the divisor, which stays
     the number of valid steps.
     """
-    kept = torch.where(valid, per_step, per_step.new_zeros(()))
+    kept = torch.where(valid, per_step, 0.0)
     if weights is not None:
         kept = kept * weights.unsqueeze(1)
     return kept.sum((1, 2)) / valid.sum((1, 2)).clamp(min=1)

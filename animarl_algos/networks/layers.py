@@ -15,7 +15,7 @@ import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ class Packing:
     device: torch.device  # where the index tensors live
 
     @classmethod
+    @lru_cache(maxsize=64)
     def full(cls, time: int, batch: int, device: torch.device | str = "cpu") -> Packing:
         """Every row of every step."""
         return cls(time, batch, np.full(time, batch, dtype=np.int64), None, torch.device(device))
@@ -218,13 +219,17 @@ class _FoldedDueling(torch.autograd.Function):
         advantage_weight: torch.Tensor,
         advantage_bias: torch.Tensor,
         num_actions: int,
+        own_units: bool,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         individuals, units, quantiles = value_weight.shape
-        ctx.shape = (individuals, -1, num_actions, quantiles)
-        weight = value_weight.new_empty((individuals, 2 * units, num_actions, quantiles))
-        weight[:, :units] = value_weight.unsqueeze(2)
+        ctx.shape, ctx.own_units = (individuals, -1, num_actions, quantiles), own_units
         advantage = advantage_weight.view(ctx.shape)
-        torch.sub(advantage, advantage.mean(2, keepdim=True), out=weight[:, units:])
+        if own_units:  # V reads the first half of the hidden units, A the second
+            weight = value_weight.new_empty((individuals, 2 * units, num_actions, quantiles))
+            weight[:, :units] = value_weight.unsqueeze(2)
+            torch.sub(advantage, advantage.mean(2, keepdim=True), out=weight[:, units:])
+        else:
+            weight = advantage - advantage.mean(2, keepdim=True) + value_weight.unsqueeze(2)
         advantage = advantage_bias.view(ctx.shape)
         bias = advantage - advantage.mean(2, keepdim=True) + value_bias.unsqueeze(2)
         return weight.flatten(2), bias.flatten(2)
@@ -234,12 +239,13 @@ class _FoldedDueling(torch.autograd.Function):
     def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         # V enters every action alike; centring is its own transpose.
         weight, bias = (gradient.reshape(ctx.shape) for gradient in grad_outputs)
-        to_value, to_advantage = weight.chunk(2, dim=1)
+        to_value, to_advantage = weight.chunk(2, dim=1) if ctx.own_units else (weight, weight)
         return (
             to_value.sum(2),
             bias.sum(2),
             (to_advantage - to_advantage.mean(2, keepdim=True)).flatten(2),
             (bias - bias.mean(2, keepdim=True)).flatten(2),
+            None,
             None,
         )
 
@@ -275,18 +281,21 @@ class DuelingHead(nn.Module):
         Without a hidden layer the weight is (K, inputs, actions * quantiles).
         """
         value, advantage = self.value, self.advantage
-        if self.hidden is None:
-            return self._sum(value.weight, advantage.weight), self._sum(value.bias, advantage.bias)
         folded: tuple[torch.Tensor, torch.Tensor] = _FoldedDueling.apply(  # type: ignore[no-untyped-call]
-            value.weight, value.bias, advantage.weight, advantage.bias, self.num_actions
+            value.weight,
+            value.bias,
+            advantage.weight,
+            advantage.bias,
+            self.num_actions,
+            self.hidden is not None,
         )
         return folded
 
-    def _sum(self, value: torch.Tensor, advantage: torch.Tensor) -> torch.Tensor:
-        """V + A - mean over actions of A, of weights or biases: (K, in, Q), (K, in, A Q)."""
-        shaped = advantage.view(*advantage.shape[:2], self.num_actions, self.num_quantiles)
-        summed: torch.Tensor = shaped - shaped.mean(2, keepdim=True) + value.unsqueeze(2)
-        return summed.flatten(2)
+    def expected_values(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return Q (K, row, actions) of a head without hidden layer and quantiles."""
+        advantages = self.advantage(inputs)
+        values: torch.Tensor = advantages - advantages.mean(-1, keepdim=True) + self.value(inputs)
+        return values
 
     def units(self, inputs: torch.Tensor) -> torch.Tensor:
         """Hidden units (K, row, 2H), V's first; without a hidden layer the inputs."""

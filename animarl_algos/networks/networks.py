@@ -91,21 +91,28 @@ class QOutput:
     """
 
     features: torch.Tensor  # (K, row, H), what the heads see: hidden states, or encoded inputs
-    initial_state: torch.Tensor  # (K, B, H), before the first step
+    initial_state: torch.Tensor | None  # (K, B, H), before the first step
     packing: Packing  # of the features
     recurrent: bool  # whether the features are states
     num_actions: int
     treatment_logits: torch.Tensor | None  # (K, T, B), of treatment 1, through gradient reversal
-    # the head's units (K, row, 2H), and weight and bias from them to the values
-    head: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+    dueling: DuelingHead
+    units: torch.Tensor  # (K, row, 2H), of the head, or what it sees
 
     @property
     def _quantiles(self) -> int:
-        return self.head[1].shape[-1] // self.num_actions
+        return self.dueling.num_quantiles
+
+    @cached_property
+    def head(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Units of the head, and weight and bias from them to the values."""
+        return self.units, *self.dueling.combined()
 
     @cached_property
     def _values(self) -> torch.Tensor:
         """Quantiles of all action values, (K, row, actions, quantiles)."""
+        if self._quantiles == 1 and self.dueling.hidden is None:
+            return self.dueling.expected_values(self.units).unsqueeze(-1)
         units, weight, bias = self.head
         return self._per_action(torch.baddbmm(bias, units, weight))
 
@@ -143,6 +150,7 @@ class QOutput:
     @property
     def final_state(self) -> torch.Tensor:
         """Hidden state after each sequence's last valid step, (K, B, H)."""
+        assert self.initial_state is not None
         if not self.recurrent:
             return self.initial_state
         return self.packing.final(self.features, self.initial_state)
@@ -239,7 +247,7 @@ class StackedQNetwork(nn.Module):
         weight = self.encoder[0].weight
         return weight.new_zeros((len(self.individuals), batch, self.units))
 
-    @property
+    @cached_property
     def encoder(self) -> list[StackedLinear]:
         """The layers before the GRU."""
         return [self.get_submodule(f"encoder_{i + 1}") for i in range(self.depth)]  # type: ignore[misc]
@@ -265,6 +273,12 @@ class StackedQNetwork(nn.Module):
         self.input_mean.copy_(mean.unsqueeze(1))
         self.input_sd.copy_(sd.unsqueeze(1))
         self.input_limit.fill_(limit)
+        self.__dict__.pop("standardised", None)
+
+    @cached_property
+    def standardised(self) -> bool:
+        """Whether inputs are standardised: without a limit, mean and sd are 0 and 1."""
+        return bool(torch.isfinite(self.input_limit).all())
 
     @torch.no_grad()
     def amplify_inputs(self, components: Sequence[int], gains: NDArray[np.floating]) -> None:
@@ -278,9 +292,13 @@ class StackedQNetwork(nn.Module):
         packing: Packing,
         masks: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Packed observations (K, row, n) and previous actions (K, row) to features (K, row, H)."""
-        inputs = observations[..., : self.sensed]
+        """Return features (K, row, H).
+
+        Observations (K, row, n) are packed, previous actions (K, T, B) are not.
+        """
+        inputs = observations[..., : self.sensed] if self.flag_in_head else observations
         if self.previous_action:
+            previous_actions = packing.pack(previous_actions)
             # One column more than there are actions: "none yet" falls there and is cut off.
             shape = (*previous_actions.shape, self.num_actions + 1)
             one_hot = inputs.new_zeros(shape).scatter_(-1, previous_actions.unsqueeze(-1), 1.0)
@@ -313,13 +331,13 @@ class StackedQNetwork(nn.Module):
         _, time, batch, _ = observations.shape
         if packing is None:
             packing = Packing.full(time, batch, observations.device)
-        if state is None:
+        if state is None and self.gru is not None:
             state = self.initial_state(batch)
         observed, limit = packing.pack(observations), self.input_limit
-        observed = torch.clamp((observed - self.input_mean) / self.input_sd, -limit, limit)
-        previous = packing.pack(previous_actions)
-        features = seen = self._encode(observed, previous, packing, masks)
-        if self.gru is not None:
+        if self.standardised:
+            observed = torch.clamp((observed - self.input_mean) / self.input_sd, -limit, limit)
+        features = seen = self._encode(observed, previous_actions, packing, masks)
+        if self.gru is not None and state is not None:
             encoded, features = seen, self.gru(seen, state, packing)
             seen = features
             if masks is not None:
@@ -330,8 +348,10 @@ class StackedQNetwork(nn.Module):
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
-        head = (units, *self.dueling.combined())
-        return QOutput(features, state, packing, self.recurrent, self.num_actions, logits, head)
+        return QOutput(
+            *(features, state, packing, self.recurrent, self.num_actions, logits),
+            *(self.dueling, units),
+        )
 
     def _first_values(self, observations: torch.Tensor) -> torch.Tensor:
         """Return expected values (S, actions) of observations (S, n) at the start of episodes."""
@@ -396,6 +416,6 @@ class StackedQNetwork(nn.Module):
 
 
 def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:
-    """After ``load_state_dict(assign=True)`` the parameters are other ones."""
-    for name in ("weights", "all_parameters", "shared_parameters"):
+    """After ``load_state_dict`` the statistics are other ones, with ``assign=True`` all tensors."""
+    for name in ("weights", "all_parameters", "shared_parameters", "standardised"):
         network.__dict__.pop(name, None)

@@ -107,12 +107,12 @@ class SequenceBatch:
     penalties: torch.Tensor  # (K, T, B) float32, DTW penalty
     terminated: torch.Tensor  # (K, T, B) float32, 1 where nothing follows
     mask: torch.Tensor  # (K, T, B) float32, 1 where the step enters a loss; else padding, warm-up
-    weights: torch.Tensor  # (K, B) float32, importance weights, at most 1
     starts: torch.Tensor  # (K, B) int64
     lengths: torch.Tensor  # (K, B) int64
     indices: Ints  # (K, B), which sequences these are
     labels: torch.Tensor  # (K, T, B) int64, demonstrated action aligned with the step, or -1
     condition: torch.Tensor  # (K, B) float32, of the column's episode, 0 or 1
+    weights: torch.Tensor | None = None  # (K, B) float32, importance, at most 1; None: all 1
     burn_in: int = 0
     initial_state: torch.Tensor | None = None  # (K, B, H), before the step at starts; None: zeros
     action_penalties: torch.Tensor | None = None  # (K, T, B, A), of each action; demonstrations'
@@ -236,7 +236,7 @@ def gather(
             del tensors[name]
     return SequenceBatch(
         **tensors,
-        weights=torch.ones(slots.shape) if weights is None else torch.from_numpy(weights),
+        weights=None if weights is None else torch.from_numpy(weights),
         indices=indices,
         burn_in=int(burn_in),
     )

@@ -3,6 +3,7 @@
 import os
 import signal
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ from animarl_algos.learner.pretraining import (
     fit_boltzmann_temperature,
 )
 from animarl_algos.learner.settings import OfflineSettings
-from animarl_algos.learner.updates import AS_MANY_AS_STEPS, UpdateSchedule
-from animarl_algos.recipes.registry import DQN, SoftBC
+from animarl_algos.learner.updates import AS_MANY_AS_STEPS, UpdateSchedule, minibatch_values
+from animarl_algos.recipes.registry import DQN, QRDQN, SoftBC
 
 EPISODES = TrainFreq(2, TrainFrequencyUnit.EPISODE)
 EACH_THIRD = TrainFreq(3, TrainFrequencyUnit.STEP)
@@ -303,9 +304,10 @@ def test_a_clone_of_coin_tosses_is_said_to_know_nothing() -> None:
 def test_individuals_together_are_individuals_alone(policy: str) -> None:
     """With dropout, an average and patience: each its own draws, best epoch and end."""
     rate = 0.05
-    kwargs: dict[str, Any] = {"hidden": 16, "dropout": 0.1}
-    if policy == "GruPolicy":  # where Adam's quotient would blow the rounding of no gradient up
-        kwargs |= {"skip": True, "optimizer_kwargs": {"eps": 1e-3}}
+    # Adam's quotient would blow up the rounding of no gradient, as the value stream has.
+    kwargs: dict[str, Any] = {"hidden": 16, "dropout": 0.1, "optimizer_kwargs": {"eps": 1e-3}}
+    if policy == "GruPolicy":
+        kwargs |= {"skip": True}
         rate = 0.01
     phase = {"offline_patience": 2, "offline_epochs": 8, "offline_learning_rate": rate}
     together = cloning(policy, **phase, policy_kwargs=kwargs)
@@ -325,6 +327,38 @@ def test_individuals_together_are_individuals_alone(policy: str) -> None:
         nets = (together.policy.q_net, alone.policy.q_net)
         for ours, own in zip(*(net.parameters() for net in nets), strict=True):
             torch.testing.assert_close(ours[k], own[0], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("quantiles", [None, 5])
+def test_single_steps_are_learned_from_as_sequences_are(quantiles: int | None) -> None:
+    """Without a memory the states after single steps are evaluated apart."""
+    learner = DQN if quantiles is None else QRDQN
+    kwargs: dict[str, Any] = {"hidden": 8, "head_layers": 0}
+    kwargs |= {} if quantiles is None else {"n_quantiles": quantiles}
+    model = learner(
+        *("MlpPolicy", toys.Pair(2)),
+        **SETTINGS | {"sequence_length": 1, "policy_kwargs": kwargs, "learning_starts": 10**6},
+    ).learn(60)
+    phase, policy = model.settings.phase("online"), model.policy
+    (term,) = (one for one in model.recipe.online if one.needs_target)
+    assert model.replay_buffer is not None
+    batch = model.replay_buffer.sample(16)
+    apart = minibatch_values(policy, batch, phase, needs_target=True)
+    assert apart.successors is not None
+    whole = replace(
+        apart,
+        successors=None,
+        online=policy.q_net(batch.observations, batch.previous_actions),
+        target=policy.q_net_target(batch.observations, batch.previous_actions),
+    )
+    gradients = []
+    for minibatch in (apart, whole):
+        policy.q_net.zero_grad()
+        term(minibatch).sum().backward()
+        gradients.append([one.grad.clone() for one in policy.q_net.parameters()])
+    assert sum(float(one.abs().sum()) for one in gradients[0]) > 0
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(apart.errors, whole.errors)
 
 
 class Stopped(Exception):

@@ -2,7 +2,7 @@
 
 import pydoc
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -343,6 +343,13 @@ def test_what_is_given_goes_over_the_preset_and_tables_key_by_key() -> None:
     assert emptied.settings.offline_kwargs == {}
     told = "'learning_rat' is unknown: choose among .*learning_rate"
     refuses(told, DQN, env=slots("agent"), learning_rat=1e-3)
+
+
+def test_a_presets_gradient_steps_belong_to_its_own_train_freq() -> None:
+    make = partial(DQN, "MlpPolicy", "CartPole-v1", device="cpu")
+    assert make().gradient_steps > 1
+    assert make(train_freq=4).gradient_steps == 1
+    assert make(train_freq=4, gradient_steps=3).gradient_steps == 3
 
 
 def test_the_settings_are_listed_and_explained_once_and_can_be_looked_up() -> None:

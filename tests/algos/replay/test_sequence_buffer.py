@@ -329,7 +329,7 @@ def test_uniform_draws_are_uniform_and_unweighted() -> None:
     counts = np.unique(batch.indices[1], return_counts=True)[1]
     assert len(counts) == buffer.num_sequences > 3
     assert stats.chisquare(counts).pvalue > 0.001
-    assert (batch.weights == 1).all()
+    assert batch.weights is None
 
 
 def test_errors_of_evicted_sequences_change_nothing() -> None:
