@@ -59,7 +59,8 @@ def evaluate_command(
     """Compare trained runs with their recordings and with each other.
 
     With --out, the saved rollouts of all runs are compared, and the runs are not changed. Without
-    it, one run is rolled out again on its test split and evaluated in its own folder. Nothing is
+    it, one run is rolled out again on its test split and evaluated in its own folder, with its
+    page. Nothing is
     trained: if a run lacks something, the command that adds it is printed.
 
     Examples:
@@ -74,6 +75,7 @@ def evaluate_command(
     """
     from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.evaluation.verdict_rows import Questions
+    from animarl_algos.report.page import PAGE_FILE
     from animarl_algos.report.verdict_section import evaluation_table, verdict_lines, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
@@ -92,7 +94,7 @@ def evaluate_command(
         new = None if demos is None else load(demos)
         evaluated = evaluate_runs(runs, out, demos=new, questions=questions)
         evaluation, missing = evaluated.evaluation, evaluated.missing_baselines
-        words = Words.of(evaluated.test)
+        words, page = Words.of(evaluated.test), out / PAGE_FILE
     else:
         if demos is not None:
             raise InputError("--demos needs --out: name a folder for the new evaluation")
@@ -101,6 +103,7 @@ def evaluate_command(
         run = Run(runs[0], acting)
         evaluation = pipeline.evaluate_run(run, questions)
         missing, words = missing_baselines(run), Words.of(run.demos)
+        page = pipeline.report(run)
     console = PlainConsole(WIDTH)
     if details:
         console.print(evaluation_table(evaluation, words))
@@ -109,8 +112,7 @@ def evaluate_command(
         console.print(line)
     for sentence in missing:
         console.print(sentence)
-    if out is not None:
-        _say_page(out)
+    console.print(f"Open {page}")
 
 
 @with_help(
@@ -137,12 +139,6 @@ def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
     folder = export_run(Run(run), out, with_demonstrations=demonstrations)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
     PlainConsole(WIDTH).print(f"Wrote {folder} ({size:.2f} MB); read {folder / CARD}")
-
-
-def _say_page(out: Path) -> None:
-    from animarl_algos.report.page import PAGE_FILE
-
-    PlainConsole(WIDTH).print(f"Open {out / PAGE_FILE}")
 
 
 @with_help(
