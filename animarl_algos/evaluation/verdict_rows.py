@@ -455,8 +455,8 @@ def _plain_key(name: str) -> str:
 
 
 def lower_first(label: str) -> str:
-    """Return a label as it stands within a sentence."""
-    return label[:1].lower() + label[1:]
+    """Return a label as it stands within a sentence; abbreviations stay."""
+    return label if label[1:2].isupper() else label[:1].lower() + label[1:]
 
 
 def _tolerance(metric: Metric, given: float | None, recorded: float, between: float) -> float:

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 from stable_baselines3.common.logger import Logger
 
 from animarl_algos.data.dataset import OfflineDataset
@@ -401,6 +400,8 @@ def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.
     exponential family is concave), so a bounded scalar search finds it. Raises InputError if there
     is no demonstrated action to fit to, or the values are all equal.
     """
+    from scipy.optimize import minimize_scalar
+
     if len(actions) == 0:
         raise InputError("no demonstrated action to fit a temperature to: give a larger dataset")
     values = values.astype(np.float64)

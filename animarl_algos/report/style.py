@@ -90,6 +90,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif"
 """Of texts in figures, as of the page around them; all are narrower than the one laid out with."""
 
+POINTS_PER_INCH = 72
 RC: Any = {
     "savefig.dpi": 220,  # of the parts that are drawn as pixels
     "svg.fonttype": "none",
@@ -191,11 +192,24 @@ class Image:
 
 
 def to_image(figure: Figure, alt: str) -> Image:
-    """Return the figure as SVG; the same figure gives the same bytes."""
-    buffer = io.BytesIO()
+    """Return the figure as SVG; the same figure gives the same bytes.
+
+    It is laid out, then drawn once; ``savefig`` draws it twice.
+    """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    buffer = io.StringIO()
     with figure_style():
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    drawing = buffer.getvalue().decode()
+        for part in (figure, *figure.axes):
+            part.set_facecolor("none")
+        layout, canvas = figure.get_layout_engine(), FigureCanvasSVG(figure)
+        assert layout is not None  # of new_figure
+        figure.set_dpi(POINTS_PER_INCH)  # of the drawing
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+        figure.set_dpi(RC["savefig.dpi"])
+        canvas.print_svg(buffer, metadata={"Date": None})
+    drawing = buffer.getvalue()
     drawing = drawing[drawing.index("<svg") :]
     for nothing in (r"<metadata>.*?</metadata>", r"<style.*?</style>", r"<!--.*?-->"):
         drawing = re.sub(nothing, "", drawing, flags=re.DOTALL)
