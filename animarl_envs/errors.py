@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -28,6 +28,7 @@ EXTRA_MODULES = frozenset(
         "pandas",
         "pyarrow",
         "pygame",
+        "pynwb",
         "ray",
         "rich",
         "rl_zoo3",
@@ -58,6 +59,9 @@ def printable(text: str) -> str:
     )
 
 
+MOST_FAULTS = 10  # lines of a message about several faults
+
+
 class InputError(ValueError):
     """Input that cannot be used; the message says in one sentence what, where and how to fix it.
 
@@ -70,6 +74,65 @@ class InputError(ValueError):
         # its process vectors raise an error again from the error itself.
         sentence = str(message).partition(_APPENDED_BY_GYMNASIUM)[0]
         super().__init__(printable(sentence).replace("\n", " "))
+
+
+class SeveralFaultsError(InputError):
+    """Several faults of one input, a line each: ten at most, then how many more there are.
+
+    ``more`` are faults beside those of the sentences.
+    """
+
+    def __init__(self, sentences: Iterable[object], more: int = 0) -> None:
+        self.sentences = list(dict.fromkeys(str(InputError(one)) for one in sentences))
+        self.more = more
+        left = more + max(0, len(self.sentences) - MOST_FAULTS)
+        lines = self.sentences[:MOST_FAULTS] + [f"and {left:,} more"] * bool(left)
+        ValueError.__init__(self, "\n".join(lines))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what the message is made of."""
+        return type(self), (self.sentences, self.more)
+
+
+def join_errors(errors: Sequence[InputError]) -> InputError:
+    """Return one error that names the faults of all; one alone stays as it is."""
+    if len(errors) == 1:
+        return errors[0]
+    sentences = [one for error in errors for one in sentences_of(error)]
+    return SeveralFaultsError(sentences, sum(getattr(error, "more", 0) for error in errors))
+
+
+def sentences_of(error: InputError) -> list[str]:
+    """Return the faults that an error names."""
+    return error.sentences if isinstance(error, SeveralFaultsError) else [str(error)]
+
+
+class FaultCollector:
+    """Collects the errors of parts that do not depend on each other, to raise them together."""
+
+    def __init__(self) -> None:
+        self._errors: list[InputError] = []
+
+    @contextmanager
+    def collect(self) -> Iterator[None]:
+        """Keep an :class:`InputError` of the block."""
+        try:
+            yield
+        except InputError as error:
+            self._errors.append(error)
+
+    def refuse(self) -> None:
+        """Raise what was collected, if anything was."""
+        if self._errors:
+            raise join_errors(self._errors)
+
+
+def refuse_rows(rows: Sequence[int], sentence: Callable[[int], str]) -> None:
+    """Raise the faults of rows, if there are any; ``sentence`` tells that of one row."""
+    faults = [InputError(sentence(row)) for row in rows[:MOST_FAULTS]]
+    if faults:
+        more = len(rows) - len(faults)
+        raise SeveralFaultsError(faults, more) if more or len(faults) > 1 else faults[0]
 
 
 def require(holds: object, sentence: str) -> None:

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, MissingExtraError, SeveralFaultsError, sentences_of
 
 try:
     import resource
@@ -89,7 +89,7 @@ def call(
     if "missing" in record:
         raise MissingExtraError(record["missing"])
     if "refused" in record:
-        raise InputError(record["refused"])
+        raise SeveralFaultsError(record["refused"], record.get("more", 0))
     if "value" in record:
         return record["value"]
     if status == 0:
@@ -264,11 +264,12 @@ def _answer(request: Any, channel: int) -> dict[str, NDArray[Any]]:
     except MissingExtraError as error:
         record = json.dumps({"missing": str(error)})
     except InputError as error:
-        record = json.dumps({"refused": str(error)})
+        more = getattr(error, "more", 0)
+        record = json.dumps({"refused": sentences_of(error), "more": more})
     except MemoryError:
         record = "{}"
     except Exception as error:
-        record = json.dumps({"refused": f"{type(error).__name__}: {error}"})
+        record = json.dumps({"refused": [f"{type(error).__name__}: {error}"]})
     return arrays | {RECORD: np.array(record)}
 
 

@@ -60,8 +60,9 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.permuted import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
-from animarl_algos.whatif.answer import Answer, ask, quantities_of
+from animarl_algos.whatif.answer import Answer, ask
 from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
+from animarl_algos.whatif.quantities import quantities_of
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.truth import SimulatedTruth, TeamTruth, Truth, mean_by_start
 from animarl_envs.demos.demonstrations import Demonstrations

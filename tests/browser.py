@@ -46,3 +46,14 @@ def listen(page: Any, said: list[str]) -> Any:
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("request", lambda one: said.append(one.url) if one.url.startswith("http") else None)
     return page
+
+
+def serious_findings(page: Any) -> list[str]:
+    """What axe-core finds on a page that is serious or worse; skipped where it is not installed."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    found = axe.Axe().run(page).response["violations"]
+    return [
+        f"{one['id']}: {one['nodes'][0]['html'][:120]}"
+        for one in found
+        if one["impact"] in ("serious", "critical")
+    ]

@@ -207,7 +207,7 @@ def merge_command(files: list[Path], out: Path, conditions: str | None = None) -
 @app.command("convert")
 @with_help(file=FILE, out=OUT, source="Reader of the file.")
 def convert_command(file: str, out: Path, source: str | None = None) -> None:
-    """Convert to .npz, .csv or .parquet (long table), .nc (movement), or Minari (no suffix).
+    """Convert to .npz, .csv or .parquet (long table), .nc (movement), .nwb, or Minari (no suffix).
 
     Examples:
 

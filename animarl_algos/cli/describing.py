@@ -45,6 +45,7 @@ CONSTANT = 0.05  # spread of a distance by its mean: that of parts of one body i
 MOST_POINTS = 20_000  # by which the shape of the ground is judged
 CORRIDOR = 0.25  # width by length; wider is no corridor
 RING, SECTORS = 0.45, 36  # inner by outer radius; all directions from the middle are visited
+SAME_SIZE, MOVED = 0.15, 0.3  # of the width of recordings: how it deviates, how far they lie apart
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
@@ -190,8 +191,10 @@ def _episodes_by_condition(demos: Demonstrations, split: str) -> str:
 
 
 def describe_ground(demos: Demonstrations) -> list[str]:
-    """Return whether the tracks keep to a corridor or a ring, which a simulated arena is not."""
+    """Return whether the tracks keep to a corridor or a ring, or the camera was moved."""
     unit, points = unit_of(demos), demos.positions.reshape(-1, 2)
+    if moved := _describe_moved_camera(demos):
+        return [moved]
     points = points[:: len(points) // MOST_POINTS + 1]
     _, axes = np.linalg.eigh(np.cov(points.T))
     low, high = np.quantile(points @ axes, (0.005, 0.995), axis=0)
@@ -211,6 +214,29 @@ def describe_ground(demos: Demonstrations) -> list[str]:
             "simulated animals have the whole arena, and may cross the middle"
         ]
     return []
+
+
+def _describe_moved_camera(demos: Demonstrations) -> str:
+    """Return that recordings of one size lie in several places; empty if they do not."""
+    names, number = np.unique(np.repeat(demos.recording, demos.lengths), return_inverse=True)
+    if len(names) < 3:
+        return ""
+    extents = [
+        (own.min(axis=0), own.max(axis=0))
+        for one in range(len(names))
+        for own in [demos.positions[number == one].reshape(-1, 2)]
+    ]
+    low, high = (np.array(side) for side in zip(*extents))
+    size, middle = (high - low).max(axis=1), (low + high) / 2
+    apart = float(np.ptp(middle, axis=0).max())
+    if size.std() > SAME_SIZE * size.mean() or apart < MOVED * size.mean():
+        return ""
+    unit, scale = unit_of(demos), unit_of(demos).per_arena_unit
+    return (
+        f"each recording is about {scale * size.mean():.3g} {unit.name} wide, and they lie up to "
+        f"{scale * apart:.3g} {unit.name} apart: if the camera was moved between them, give "
+        "--centre-each"
+    )
 
 
 def describe_recipe(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:

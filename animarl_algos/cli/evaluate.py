@@ -156,7 +156,8 @@ def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
     knows=Option(
         "--knows", help="Individuals perceive their changed body; by default they act as before."
     ),
-    measure=MEASURE,
+    measure="A measure of the verdict that the table has too, such as share_at_rest, or all; or "
+    "FILE.py:FUNCTION, a measure of your own (the file is run). Repeatable.",
 )
 def whatif_command(
     runs: list[Path],
@@ -201,17 +202,26 @@ def whatif_command(
     from animarl_algos.runs import run_set
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
-    from animarl_algos.whatif.answer import ask
-    from animarl_algos.whatif.answer_page import cut_note, save_answers, unchanged_table
-    from animarl_algos.whatif.changes import CONDITION, parse_scenarios
+    from animarl_algos.whatif.answer import ask, check_changes
+    from animarl_algos.whatif.answer_page import (
+        cut_note,
+        measures_note,
+        rollouts_note,
+        save_answers,
+        unchanged_table,
+    )
+    from animarl_algos.whatif.changes import CONDITION
     from animarl_algos.whatif.truth import find_truth
 
-    register_measures(measure)
+    own = [name for name in measure or () if ":" in name]
+    register_measures(own)
+    asked = [name for name in measure or () if name not in own]
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
     if len(loaded) == 1:
         loaded = run_set.ensemble(loaded[0])
     known = None if truth is None else find_truth(truth, loaded[0], repetitions)
+    check_changes(loaded, change, separately=separately, truth=known, measures=asked)
     nulls: list[Run] = []
     if permutations:
         if not any(text.partition("=")[0].strip() == CONDITION for text in change):
@@ -220,9 +230,6 @@ def whatif_command(
             )
         from animarl_algos.runs.permuted import permuted_runs
 
-        for scenario in parse_scenarios(change, loaded[0].scenario.species, separately=separately):
-            if known is not None:  # before anything is trained
-                known.check(scenario)
         nulls = permuted_runs(
             loaded[0],
             out.with_name(f"{out.name}-permuted"),
@@ -237,15 +244,20 @@ def whatif_command(
         repetitions=repetitions,
         reading="knows" if knows else "habit",
         separately=separately,
+        measures=asked,
         on_baseline=lambda table: console.print(
             terminal_table(unchanged_table(table), "unchanged world", wrapped=True)
         ),
         on_answer=lambda answer: _print(console, answer),
     )
-    for sentence in answers.unmet.values():
+    sentences = [
+        *answers.unmet.values(),
+        f"Each mean is of {rollouts_note(answers)}; ± is the 95 % error of their chance",
+        cut_note(answers),
+        measures_note(answers),
+    ]
+    for sentence in filter(None, sentences):
         console.print(sentence)
-    if note := cut_note(answers):
-        console.print(note)
     save_answers(answers, out, command=command_line(), versions=versions())
     console.print(f"Tables, text, figures and the page report.html: {out}")
 

@@ -6,6 +6,7 @@ What learns and draws is imported when a command runs: its help waits for none o
 from __future__ import annotations
 
 import inspect
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_origin, get_type_hints
 
@@ -69,6 +70,16 @@ OTHERS = {
         "GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
     ),
     "primary": shared.option("primary", list[str] | None, None, PRIMARY),
+    "processes": shared.option(
+        "processes",
+        int | None,
+        None,
+        typer.Option(
+            min=1,
+            help="Folds that are trained at once, by default one for each core; the results do "
+            "not depend on it.",
+        ),
+    ),
     "quick": shared.option(
         "quick",
         bool,
@@ -120,8 +131,8 @@ def _options(names: str) -> list[inspect.Parameter]:
 @shared.with_options(
     _options(
         "file env species algo preset steps seed out source copies focal neighbours policy device "
-        "config cloning fit_method thrusts acting repetitions folds baselines quick tolerance "
-        "primary measure details settings"
+        "config cloning fit_method thrusts acting repetitions folds processes baselines quick "
+        "tolerance primary measure details settings"
     )
 )
 def run_command(**given: Any) -> None:
@@ -141,6 +152,8 @@ def run_command(**given: Any) -> None:
 
       animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
     """
+    import joblib
+
     from animarl_algos.cli.fit import format_fit_table
     from animarl_algos.evaluation.headline import list_implausible
     from animarl_algos.evaluation.own_measures import register_measures
@@ -176,16 +189,17 @@ def run_command(**given: Any) -> None:
     pipeline.learn_all(run)
     tested = "the test split"
     if folds:
+        processes = min(given["processes"] or joblib.cpu_count(), folds - 1)
         tested = f"all recordings, each by a simulator that was trained without it ({folds} folds)"
         if given["folds"] is None:
             training = sum(s for stage, s in run.wall_times().items() if "training" in stage)
-            left = duration((folds - 1) * training)
+            left = duration(math.ceil((folds - 1) / processes) * training)
             console.print(
                 f"The file's test split has fewer than {ENOUGH_TESTED} recordings, too few for a "
                 f"verdict: the run tests a third of all recordings; {folds - 1} more trainings, "
                 f"about {left}, test the others (--folds 0: keep the file's split)"
             )
-        pipeline.cross_validate(run, folds)
+        pipeline.cross_validate(run, folds, processes=processes)
     begin("3/4", f"evaluating on {tested}")
     evaluation, words = pipeline.evaluate_run(run, questions), Words.of(run.demos)
     judged = evaluation.verdict

@@ -23,11 +23,12 @@ from animarl_envs.demos.summary import RECORDED_SCALE, Unit
 from animarl_envs.errors import InputError, printable
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.netcdf_io import write_netcdf
+from animarl_envs.importing.nwb_io import write_nwb
 from animarl_envs.importing.readers import read
 
 CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 ALL = "all"
-TRACK_FILES = (".csv", ".parquet", ".nc")
+TRACK_FILES = (".csv", ".parquet", ".nc", ".nwb")
 SOURCE = "--source"
 DECIMAL_SIGNS = {",", "."}
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
@@ -189,12 +190,14 @@ def track_rows(
 def write_tracks(
     out: Path, episodes: Episodes, heads: Sequence[Mapping[str, object]], unit: Unit
 ) -> None:
-    """Write episodes as a table, .csv or .parquet, or as movement's netCDF, .nc.
+    """Write episodes as a table, .csv or .parquet, as movement's netCDF, .nc, or as NWB, .nwb.
 
     Raises InputError if the suffix is another.
     """
     if out.suffix == ".nc":
         write_netcdf(out, episodes, heads, unit)
+    elif out.suffix == ".nwb":
+        write_nwb(out, episodes, heads, unit)
     elif out.suffix == ".csv":
         write_csv(out, track_rows(episodes, heads, unit))
     elif out.suffix == ".parquet":

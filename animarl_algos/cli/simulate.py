@@ -17,7 +17,7 @@ from animarl_envs.errors import require
 
 @with_help(
     model="A run's folder, or a packaged model by name, such as fly.",
-    out=Option(help="File to write, .csv, .parquet, or .nc for the package movement."),
+    out=Option(help="File to write, .csv, .parquet, .nc for the package movement, or .nwb."),
     repetitions=Option(min=1, help="Rollouts from each start."),
     split="Episodes to start from: train, val, test or all.",
     seed="Seed of the rollouts; by default that of the run.",
@@ -29,12 +29,12 @@ def simulate_command(
     split: str = "test",
     seed: int | None = None,
 ) -> None:
-    """Simulate a run's animals, and write their tracks as a table or as movement's netCDF.
+    """Simulate a run's animals, and write their tracks as a table, movement's netCDF, or NWB.
 
-    A table has a row for each frame and individual, and netCDF a group for each rollout. Lengths
-    are in the recordings' own unit where it is known, as the names of the columns say (x_cm), and
-    the middle of the arena is (0, 0).
-    `animarl import` reads the file.
+    A table has a row for each frame and individual, netCDF a group and NWB a Position for each
+    rollout. Lengths are in the recordings' own unit where it is known, as the names of the columns
+    say (x_cm), and the middle of the arena is (0, 0).
+    `animarl import` reads tables and netCDF.
 
     Examples:
 

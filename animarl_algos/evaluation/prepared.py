@@ -60,14 +60,38 @@ class Prepared:
         """``(starts, individuals, cells)`` shares of the recorded frames in each cell."""
         return self.cell_shares(self.recorded)
 
+    @cached_property
+    def maps_of_others(self) -> Floats:
+        """``(starts, individuals, cells)`` shares of the frames of all other recordings."""
+        unit = np.unique(self.demos.recording, return_inverse=True)[1]
+        counts = self.maps * self.recorded.lengths[:, None, None]
+        if self.recorded.is_group:  # animals of a group are alike
+            counts = np.repeat(counts.mean(axis=1, keepdims=True), counts.shape[1], axis=1)
+        own = np.zeros((int(unit.max()) + 1, *counts.shape[1:]))
+        np.add.at(own, unit, counts)
+        others = counts.sum(axis=0) - own
+        total = others.sum(axis=-1, keepdims=True)
+        return np.asarray((others / np.where(total > 0, total, np.nan))[unit])
+
+    @property
+    def rectangle(self) -> tuple[Floats, Floats]:
+        """Lower left corner, and size, of the rectangle that holds the recorded positions."""
+        known = self.recorded.positions.reshape(-1, 2)
+        return known.min(axis=0), np.maximum(np.ptp(known, axis=0), 1e-9)
+
+    @cached_property
+    def lags(self) -> tuple[int, ...]:
+        """Lags at which order in time is looked at [steps]."""
+        steps = order_in_time.median_steps(self.recorded)
+        return order_in_time.lags_for(steps, self.recorded.dt)
+
     def cell_shares(self, rollouts: Rollouts) -> Floats:
         """Return the shares of the frames of each episode in each cell of the field.
 
         ``(episodes, individuals, cells)``. The rectangle that holds the recorded positions is
         divided into ``CELLS`` by ``CELLS`` cells; those at its edge hold what lies beyond.
         """
-        known = self.recorded.positions.reshape(-1, 2)
-        low, size = known.min(axis=0), np.maximum(np.ptp(known, axis=0), 1e-9)
+        low, size = self.rectangle
         place = np.clip((CELLS * (rollouts.positions - low) / size).astype(int), 0, CELLS - 1)
         cell = place[..., 0] * CELLS + place[..., 1]
         shares = np.zeros((len(rollouts), cell.shape[1], CELLS**2))
@@ -97,10 +121,9 @@ class Prepared:
     def order(self, rollouts: Rollouts) -> order_in_time.EpisodeMeasures:
         """Order in time, reactions and places of every episode."""
         if rollouts not in self._orders:
-            lags = order_in_time.lags_for(
-                order_in_time.median_steps(self.recorded), self.recorded.dt
+            measured = order_in_time.order_measures(
+                rollouts, self.lags, self.rest, self.demos.arena
             )
-            measured = order_in_time.order_measures(rollouts, lags, self.rest, self.demos.arena)
             self._orders[rollouts] = measured
         return self._orders[rollouts]
 
@@ -160,18 +183,9 @@ class MeasuredEpisodes:
         The share of the time that would have to be spent elsewhere, mean over individuals. Left out
         of the map is the recording that the episode started from, of recordings their own.
         """
-        prepared, demo = self.prepared, self.rollouts.demo
-        maps, lengths = prepared.maps, prepared.recorded.lengths
-        unit = np.unique(prepared.demos.recording, return_inverse=True)[1]
-        counts = maps * lengths[:, None, None]
-        if prepared.recorded.is_group:  # animals of a group are alike
-            counts = np.repeat(counts.mean(axis=1, keepdims=True), counts.shape[1], axis=1)
-        own = np.zeros((int(unit.max()) + 1, *counts.shape[1:]))
-        np.add.at(own, unit, counts)
-        others = counts.sum(axis=0) - own
-        total = others.sum(axis=-1, keepdims=True)
-        others = others / np.where(total > 0, total, np.nan)
-        apart = np.abs(prepared.cell_shares(self.rollouts) - others[unit[demo]])
+        prepared = self.prepared
+        others = prepared.maps_of_others[self.rollouts.demo]
+        apart = np.abs(prepared.cell_shares(self.rollouts) - others)
         return np.asarray(0.5 * apart.sum(axis=-1).mean(axis=1))
 
     @cached_property

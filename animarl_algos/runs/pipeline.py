@@ -4,16 +4,21 @@ Each stage writes its result into the run folder and is skipped if it is there, 
 was killed goes on where it was.
 """
 
+import time
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
 import torch
+from joblib import Parallel, delayed
 from stable_baselines3.common.logger import configure
+from threadpoolctl import threadpool_limits
 
 from animarl_algos.data.recipe_choice import choose_recipe
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.comparison import Evaluation
+from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.evaluation.verdict_rows import AS_BUILT, Questions
 from animarl_algos.learner.algorithm import SequenceQLearning
@@ -35,6 +40,7 @@ from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_s
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits, run_folds
+from animarl_envs.errors import InputError
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import PACKAGED, make_scenario
@@ -172,14 +178,39 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
         learn(run, algo, progress_bar=progress_bar)
 
 
-def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
-    """Train the learners of a run anew for every other fold, without its test recordings."""
+def cross_validate(run: Run, folds: int, *, processes: int = 1, progress_bar: bool = True) -> None:
+    """Train the learners of a run anew for every other fold, without its test recordings.
+
+    So many ``processes`` train a fold each, in one thread, so that their number changes no result.
+    Measures of the user's own are known in this process alone, which trains all folds then.
+    """
+    if any(metric.own is not None for metric in METRICS):
+        processes = 1
     begun = progress_display("cross-validation", "fold", folds - 1, disable=not progress_bar)
     with run.lock(), begun as bar:
-        for number, fold in enumerate(run_set.begin_folds(run, folds), 2):
-            with run.timed(f"fold {number} of {folds}"):
-                learn_all(fold, progress_bar=progress_bar)
-            bar.update()
+        shown = progress_bar and processes == 1
+        try:
+            for number, seconds in Parallel(processes, return_as="generator", batch_size=1)(
+                delayed(_learn_fold)(number, fold.path, fold.acting_rule, shown)
+                for number, fold in enumerate(run_set.begin_folds(run, folds), 2)
+            ):
+                run.add_time(f"fold {number} of {folds}", seconds)
+                bar.update()
+        except BrokenProcessPool as error:
+            raise InputError(
+                f"{run.path}: a process died, probably for lack of memory: give fewer --processes; "
+                "the same command goes on from what is finished"
+            ) from error
+
+
+def _learn_fold(
+    number: int, folder: Path, acting_rule: str | None, progress_bar: bool
+) -> tuple[int, float]:
+    """Train the learners of a fold; return its number, and the seconds that this took."""
+    begun = time.monotonic()
+    with threadpool_limits(1):
+        learn_all(Run(folder, acting_rule), progress_bar=progress_bar)
+    return number, time.monotonic() - begun
 
 
 def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:

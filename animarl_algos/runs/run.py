@@ -213,8 +213,12 @@ class Run:
         """Add the wall time of what is done within it to that of its stage, if it succeeds."""
         begun = time.monotonic()
         yield
+        self.add_time(stage, time.monotonic() - begun)
+
+    def add_time(self, stage: str, seconds: float) -> None:
+        """Add to the wall time of a stage."""
         times = self.wall_times()
-        times[stage] = times.get(stage, 0.0) + time.monotonic() - begun
+        times[stage] = times.get(stage, 0.0) + seconds
         run_files.write_json(self.path / "wall_time.json", times)
 
     def wall_times(self) -> dict[str, float]:

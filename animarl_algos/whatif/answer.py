@@ -6,29 +6,41 @@ recordings and meet the same random numbers, so that they differ by the change a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.metrics import METRICS, Metric
-from animarl_algos.evaluation.prepared import censored, path_lengths
+from animarl_algos.evaluation.prepared import censored, comparison_smoothing
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.whatif.absent import Present, simulate_from
 from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
-from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
+from animarl_algos.whatif.quantities import (
+    ALL,
+    Quantity,
+    measured_quantities,
+    quantities_of,
+    resolve_measures,
+    speeds_of,
+)
+from animarl_algos.whatif.shifts import (
+    FALLS,
+    RISES,
+    chance_error,
+    judge,
+    mean_over_starts,
+    share_as_large,
+)
 from animarl_algos.whatif.thrust_search import LIMITS, ThrustSearch
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.focus import distances_to_target, is_free, nearest_other
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
@@ -69,15 +81,6 @@ class TrainedRun(Protocol):
         """Return rollouts of a policy."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A number of each episode, ``(episodes,)``."""
-
-    name: str
-    unit: str
-    values: Callable[[Rollouts], Floats]
-
-
 @dataclass(frozen=True, eq=False)
 class Answer:
     """The answer to one scenario.
@@ -87,10 +90,12 @@ class Answer:
     scenario
         What was changed.
     table
-        One row per quantity: ``scenario, quantity, unit, recorded, baseline, changed, shift, low,
-        high, gap, covers, other_reading, seeds_low, seeds_high, beyond, null_low, null_high, p,
-        warning, judged, finding``. ``gap`` is baseline minus recorded, where rollouts stop with a
-        recording that was cut (:func:`~animarl_algos.evaluation.prepared.censored`).
+        One row per quantity: ``scenario, quantity, unit, recorded, baseline, baseline_error,
+        changed, changed_error, shift, low, high, gap, covers, other_reading, seeds_low, seeds_high,
+        beyond, null_low, null_high, p, warning, judged, finding``. The errors are those of chance
+        (:func:`~animarl_algos.whatif.shifts.chance_error`). ``gap`` is baseline minus recorded,
+        where rollouts stop with a recording that was cut
+        (:func:`~animarl_algos.evaluation.prepared.censored`).
         ``seeds_low`` to ``seeds_high`` is the range of the shifts of single training seeds,
         ``beyond`` the share of steps more than usual with inputs that training did not have.
         ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
@@ -136,6 +141,8 @@ class WhatIf:
         What policies perceive of a changed body.
     truth
         What made the recordings, where it is known.
+    other_measures
+        Keys of the verdict's measures that are not in the table.
     unmet
         By the name of a scenario whose wanted speed no thrust gives, a sentence that says so.
     """
@@ -148,6 +155,7 @@ class WhatIf:
     repetitions: int
     reading: Reading
     truth: Truth | None = None
+    other_measures: tuple[str, ...] = ()
     unmet: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -168,6 +176,7 @@ def ask(
     seed: int = 0,
     permuted: Sequence[TrainedRun] = (),
     truth: Truth | None = None,
+    measures: Sequence[str] = (),
     on_baseline: Callable[[pd.DataFrame], None] | None = None,
     on_answer: Callable[[Answer], None] | None = None,
 ) -> WhatIf:
@@ -194,9 +203,11 @@ def ask(
     truth
         What made the recordings (:func:`animarl_algos.whatif.truth.find_truth`): its shift stands
         beside the predicted one.
+    measures
+        Names of measures of the verdict that are asked too, or ``all``.
     on_baseline
         Called first with how far the unchanged simulation is from the recordings; columns
-        ``quantity, unit, recorded, baseline, gap``.
+        ``quantity, unit, recorded, baseline, baseline_error, gap``.
     on_answer
         Called with each answer when it is ready.
 
@@ -206,24 +217,13 @@ def ask(
         If a change is unknown or cannot be made, or runs are not of the same animals; nothing is
         simulated then. If no scenario can be met.
     """
+    scenarios, keys = check_changes(
+        runs, changes, separately=separately, truth=truth, measures=measures
+    )
     first = runs[0]
-    species = first.scenario.species
-    for run in runs:
-        names = run.scenario.species.individuals
-        if names != species.individuals or len(run.demos) != len(first.demos):
-            raise InputError(
-                f"runs are of different recordings ({', '.join(names)} in {len(run.demos)} "
-                f"episodes, {', '.join(species.individuals)} in {len(first.demos)}): give training "
-                "seeds of one learner"
-            )
-    scenarios = parse_scenarios(changes, species, separately=separately)
-    unit = unit_of(first.demos)
-    for scenario in scenarios:
-        _check(scenario, first, unit)
-        if truth is not None:
-            truth.check(scenario)
+    species, unit = first.scenario.species, unit_of(first.demos)
     comparison, *nulls = (
-        _Comparison(some, unit, repetitions, reading, seed)
+        _Comparison(some, unit, repetitions, reading, seed, keys)
         for some in (runs, *([run] for run in permuted))
     )
     comparison.truth = truth
@@ -251,13 +251,50 @@ def ask(
         repetitions,
         reading,
         truth,
+        tuple(key for key in resolve_measures([ALL], comparison.test) if key not in keys),
         unmet,
     )
+
+
+def check_changes(
+    runs: Sequence[TrainedRun],
+    changes: Sequence[str],
+    *,
+    separately: bool = False,
+    truth: Truth | None = None,
+    measures: Sequence[str] = (),
+) -> tuple[list[ChangedWorld], tuple[str, ...]]:
+    """Return the scenarios, and the keys of the measures, without simulating anything.
+
+    Raises
+    ------
+    InputError
+        As :func:`ask`.
+    """
+    first = runs[0]
+    species = first.scenario.species
+    for run in runs:
+        names = run.scenario.species.individuals
+        if names != species.individuals or len(run.demos) != len(first.demos):
+            raise InputError(
+                f"runs are of different recordings ({', '.join(names)} in {len(run.demos)} "
+                f"episodes, {', '.join(species.individuals)} in {len(first.demos)}): give training "
+                "seeds of one learner"
+            )
+    scenarios = parse_scenarios(changes, species, separately=separately)
+    for scenario in scenarios:
+        _check(scenario, first, unit_of(first.demos))
+        if truth is not None:
+            truth.check(scenario)
+    return scenarios, resolve_measures(measures, first.demos.select(split="test"))
 
 
 def _check(scenario: ChangedWorld, run: TrainedRun, unit: Unit) -> None:
     """Refuse a change that cannot be made, before anything is simulated."""
     species = change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
+    for change in scenario.speeds:
+        assert not isinstance(change.amount, str)
+        change.amount.of(1.0, {f"{unit.name}/s": 1.0}, change.text)
     scenario.move_starts(run.demos.select(split="test"), species)
     if scenario.removed:
         Present.without(species, scenario.removed)
@@ -281,16 +318,28 @@ class _Comparison:
     """Simulates the unchanged world and each scenario once, and compares them."""
 
     def __init__(
-        self, runs: Sequence[TrainedRun], unit: Unit, repetitions: int, reading: Reading, seed: int
+        self,
+        runs: Sequence[TrainedRun],
+        unit: Unit,
+        repetitions: int,
+        reading: Reading,
+        seed: int,
+        keys: Sequence[str],
     ) -> None:
         self.runs, self.unit, self.repetitions = runs, unit, repetitions
-        self.reading, self.seed = reading, seed
+        self.reading, self.seed, self.keys = reading, seed, keys
         self.truth: Truth | None = None
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
         self.baseline, *self.usual = self._simulate(ChangedWorld(()), {}, "habit")
-        self.quantities = list(quantities_of(self.species, unit))
+        self.smoothing = comparison_smoothing(self.test) if keys else 1
+        recorded = Rollouts.from_demonstrations(self.test)
+        self.measured = [
+            quantity
+            for quantity in measured_quantities(self.test, unit, keys, self.smoothing)
+            if np.isfinite(quantity.values(recorded)).any()
+        ]
         # What stands beside recordings that were cut stops there too.
         self.comparable = censored(self.baseline, self.test)
 
@@ -328,7 +377,7 @@ class _Comparison:
         """Return each quantity of the recordings and of the unchanged world, cut as they were."""
         table = pd.DataFrame(self._rows(ChangedWorld(()), self.baseline, None))
         table["baseline"] = table["recorded"] + table["gap"]
-        return table[["quantity", "unit", "recorded", "baseline", "gap"]]
+        return table[["quantity", "unit", "recorded", "baseline", "baseline_error", "gap"]]
 
     def shifts(self, scenario: ChangedWorld) -> list[float]:
         """Return the shift of each quantity."""
@@ -423,8 +472,11 @@ class _Comparison:
             counts = self.test.condition[changed.demo] != index
         recorded = Rollouts.from_demonstrations(self.test)
         starts = np.unique(changed.demo[counts])
-        measures = {q.name: q for q in quantities_of(changed, self.unit)}
-        for quantity in self.quantities:
+        named = {name for change in scenario.changes for name in change.individuals}
+        if len(named) == len(self.species.individuals):
+            named = set()
+        measures = {q.name: q for q in self._quantities_after(scenario, changed, named)}
+        for quantity in (*quantities_of(self.species, self.unit, named), *self.measured):
             if quantity.name not in measures:  # of a removed individual
                 continue
             measure = measures[quantity.name].values
@@ -438,14 +490,17 @@ class _Comparison:
             comparable = quantity.values(self.comparable)
             gap = self._mean(comparable, self.comparable.demo, counts).estimate - real
             counted = np.where(counts, after - before, np.nan).reshape(len(self.runs), -1)
-            seeds = np.nanmean(counted, axis=1)
+            known = np.isfinite(counted).sum(axis=1)
+            seeds = np.nansum(counted, axis=1) / np.where(known, known, np.nan)
             yield {
                 "scenario": scenario.name,
                 "quantity": quantity.name,
                 "unit": quantity.unit,
                 "recorded": real,
                 "baseline": baseline,
+                "baseline_error": self._chance(before, self.baseline.demo, counts),
                 "changed": baseline + shift.estimate,
+                "changed_error": self._chance(after, changed.demo, counts),
                 "shift": shift.estimate,
                 "low": shift.low,
                 "high": shift.high,
@@ -465,6 +520,23 @@ class _Comparison:
                     counts,
                 )
             )
+
+    def _quantities_after(
+        self, scenario: ChangedWorld, changed: Rollouts, named: Collection[str]
+    ) -> Iterator[Quantity]:
+        """Yield the quantities of the changed world: of its animals, and of its walls."""
+        yield from quantities_of(changed, self.unit, named)
+        if self.keys:
+            there = [self.species.individuals.index(name) for name in changed.individuals]
+            demos = self.test.of_individuals(there) if scenario.removed else self.test
+            world = change_world(self.species, **scenario.options(self.species, self.unit))
+            demos = replace(demos, arena=world.arena)
+            yield from measured_quantities(demos, self.unit, self.keys, self.smoothing)
+
+    def _chance(self, values: Floats, demo: Ints, counts: Bools) -> float:
+        """Return the error of a mean by the chance of its rollouts."""
+        run = np.repeat(np.arange(len(self.runs)), len(values) // len(self.runs))
+        return chance_error(values, run * len(self.test) + demo, counts)
 
     def _compare_with_truth(
         self,
@@ -542,55 +614,4 @@ class _Comparison:
 
 def _speeds(rollouts: Rollouts) -> dict[str, float]:
     """Return the mean speed of each individual over episodes [arena unit / s]."""
-    seconds = np.maximum(rollouts.lengths - 1, 1) * rollouts.dt
-    speeds = (path_lengths(rollouts) / seconds[:, None]).mean(axis=0)
-    return dict(zip(rollouts.individuals, speeds.tolist(), strict=True))
-
-
-def _own(metric: Metric, rollouts: Rollouts, *, scale: float) -> Floats:
-    assert metric.own is not None
-    return metric.own(rollouts, scale)
-
-
-def quantities_of(of: Species | Rollouts, unit: Unit) -> Iterator[Quantity]:
-    """Yield the quantities of an answer: outcome, duration, paths, distance, speeds."""
-    scale, name = unit.per_arena_unit, unit.name
-
-    def seconds(rollouts: Rollouts) -> Floats:
-        return np.asarray((rollouts.lengths - 1) * rollouts.dt)
-
-    def speeds(rollouts: Rollouts) -> Floats:
-        length = scale * path_lengths(rollouts)
-        return np.asarray(length / np.maximum(seconds(rollouts), rollouts.dt)[:, None])
-
-    def speed_of(index: int) -> Callable[[Rollouts], Floats]:
-        return lambda rollouts: speeds(rollouts)[:, index]
-
-    def mean_of(apart: Floats, rollouts: Rollouts) -> Floats:
-        starts = rollouts.offsets[:-1]
-        return np.asarray(scale * np.add.reduceat(apart, starts) / rollouts.lengths)
-
-    def closest(rollouts: Rollouts) -> Floats:
-        apart = distances_to_target(rollouts.positions, rollouts.roles).min(axis=1)
-        return mean_of(apart, rollouts)
-
-    def nearest(rollouts: Rollouts) -> Floats:
-        apart = np.linalg.norm(nearest_other(rollouts.positions), axis=-1).mean(axis=1)
-        return mean_of(apart, rollouts)
-
-    own = [metric for metric in METRICS if metric.own is not None]
-    for metric in own:
-        yield Quantity(metric.label.lower(), metric.unit, partial(_own, metric, scale=scale))
-    if is_free(of.roles):  # nothing is reached, and only the film ends
-        yield Quantity("speed", f"{name}/s", lambda made: speeds(made).mean(axis=1))
-        if len(of.individuals) > 1:
-            yield Quantity("nearest neighbour", name, nearest)
-        return
-    yield Quantity("reached", "share", lambda made: made.captured.astype(np.float64))
-    yield Quantity("duration", "s", seconds)
-    yield Quantity(
-        "path length", name, lambda made: scale * path_lengths(made)[:, made.movers].mean(axis=1)
-    )
-    yield Quantity("mean distance", name, closest)
-    for index, individual in enumerate(of.individuals):
-        yield Quantity(f"speed of {individual}", f"{name}/s", speed_of(index))
+    return dict(zip(rollouts.individuals, speeds_of(rollouts).mean(axis=0).tolist(), strict=True))

@@ -16,9 +16,10 @@ from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance, to_paste
 from animarl_algos.report.style import Image, to_image
 from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
-from animarl_algos.whatif.answer import Answer, WhatIf, quantities_of
+from animarl_algos.whatif.answer import Answer, WhatIf
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
+from animarl_algos.whatif.quantities import quantities_of
 from animarl_algos.whatif.shifts import NO_INTERVAL
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.drawing import markdown_table
@@ -31,8 +32,10 @@ WHAT_IT_IS = (
     "The same behaviour in another world: nobody learns, and nobody adapts. A thrust is not a "
     "speed: a change of speed is met by a thrust that was found by simulation. Baseline and "
     "scenario start from the same recordings and meet the same random numbers. The interval (95 %) "
-    "speaks of {covers}, not of the choice of the training recordings{null}. A shift that is "
-    "smaller than the gap between the unchanged simulation and the recordings is no finding."
+    "speaks of {covers} and of the chance of {rollouts}, not of the choice of the training "
+    "recordings{null}. The error behind ± is of this chance alone: the mean of other rollouts "
+    "from the same starts lies so near in 95 of 100 cases. A shift that is smaller than the gap "
+    "between the unchanged simulation and the recordings is no finding."
 )
 CUT = (
     "Some recordings were cut: there the gap looks at the simulation as far as its recording "
@@ -47,6 +50,7 @@ WARNINGS = (
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
 SMALLEST_SHIFT = 1e-9  # on an axis; a smaller one is of rounding errors
 MOST_PLAYED = 6  # scenarios in the player
+MOST_NAMED = 12  # measures that a terminal names
 RECORDED, UNCHANGED = "recorded", "unchanged"
 
 
@@ -75,9 +79,27 @@ def what_it_is(result: WhatIf) -> str:
     null = ""
     if table["p"].notna().any():
         null = ", of which p does: how often networks of permuted conditions shift as far"
-    text = WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null)
+    text = WHAT_IT_IS.format(
+        covers=table["covers"].iloc[0], null=null, rollouts=rollouts_note(result)
+    )
     truth = "" if result.truth is None else result.truth.description
     return " ".join(filter(None, [text, truth, cut_note(result)]))
+
+
+def rollouts_note(result: WhatIf) -> str:
+    """Return how many rollouts each mean is of."""
+    seeds = f" by each of {result.runs} training runs" * (result.runs > 1)
+    each = f"{result.repetitions} from each of {len(result.demos)} starts{seeds}"
+    return f"{len(result.baseline)} rollouts ({each})"
+
+
+def measures_note(result: WhatIf) -> str:
+    """Return how to ask for the measures that were not asked; empty if there are none."""
+    names = [key.removeprefix("mean_") for key in result.other_measures]
+    if not names:
+        return ""
+    listed = ", ".join([*names[:MOST_NAMED], *["..."] * (len(names) > MOST_NAMED)])
+    return f"--measure NAME adds a measure of the verdict: {listed} (all: --measure all)"
 
 
 def cut_note(result: WhatIf) -> str:
@@ -145,9 +167,6 @@ def answer_page(result: WhatIf, command: str = "", versions: Mapping[str, str] =
     names = [answer.scenario.name for answer in result.answers]
     sentences = [f"{a.scenario.name}: {' '.join(findings(a))}" for a in result.answers]
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    rollouts = f"{result.repetitions} from each start" + f" and of {result.runs} training runs" * (
-        result.runs > 1
-    )
     return page.Page(
         title=f"{names[0]}{more}",
         kind="What if?",
@@ -155,7 +174,7 @@ def answer_page(result: WhatIf, command: str = "", versions: Mapping[str, str] =
         facts=[
             ("Species", result.species.name),
             ("Starts", f"{len(result.demos)} test episodes"),
-            ("Rollouts", rollouts),
+            ("Rollouts", rollouts_note(result)),
             ("Policies act by", "habit" if result.reading == "habit" else "knowing their bodies"),
         ],
         lead=_lead(result),
@@ -203,7 +222,7 @@ def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") 
         "Shifts",
         {
             **_means(recorded),
-            "Changed": lambda row: number(_factor(row) * row["changed"]),
+            "Changed": lambda row: _with_error(row, "changed"),
             "Shift [95 % interval]": lambda row: with_interval(
                 scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))
             ),
@@ -231,11 +250,24 @@ def _means(recorded: str) -> dict[str, Callable[[pd.Series], str]]:
         return lambda row: number(_factor(row) * row[key])
 
     return {
-        "Quantity": lambda row: f"{row['quantity']} ({'%' if _factor(row) > 1 else row['unit']})",
+        "Quantity": _quantity,
         capitalised(recorded): format_mean("recorded"),
-        capitalised(UNCHANGED): format_mean("baseline"),
+        capitalised(UNCHANGED): lambda row: _with_error(row, "baseline"),
         f"Gap: {UNCHANGED}\n{MINUS} {recorded}": format_mean("gap"),
     }
+
+
+def _quantity(row: pd.Series) -> str:
+    """Return the name of a quantity with its unit, if it has one."""
+    unit = "%" if _factor(row) > 1 else row["unit"]
+    return f"{row['quantity']} ({unit})" if unit else str(row["quantity"])
+
+
+def _with_error(row: pd.Series, key: str) -> str:
+    """Return a mean with its error by the chance of rollouts, where that is known."""
+    error = _factor(row) * row[f"{key}_error"]
+    mean = number(_factor(row) * row[key])
+    return f"{mean} ± {number(error, 2)}" if np.isfinite(error) else mean
 
 
 def _truth_columns() -> dict[str, Callable[[pd.Series], str]]:

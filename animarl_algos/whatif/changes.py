@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from animarl_algos.whatif.absent import can_remove
 from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
@@ -281,7 +282,10 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
         for what in own
         if len(members) > 1 or group in species.individuals
     }
-    world = ["arena", "contact", "time_limit", REMOVE] if isinstance(species, ChaseSpecies) else []
+    world = ["time_limit"]
+    if isinstance(species, ChaseSpecies):
+        world += ["arena"] * (species.arena.shape != "open") + ["contact"] * (not species.free)
+        world += [REMOVE] * can_remove(species)
     if isinstance(species, SearchSpecies):
         fields_of_search = {field.name for field in fields(SearchSpecies)}
         numbers = fields_of_search - {field.name for field in fields(Species)}

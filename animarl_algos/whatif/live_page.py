@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.prepared import Prepared, comparison_smoothing, slow_speeds
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.whatif.absent import (
     ANGLE_OF_REMOVED,
@@ -26,16 +27,22 @@ from animarl_algos.whatif.absent import (
     can_remove,
     farthest_pursuer,
 )
-from animarl_algos.whatif.answer import TrainedRun, quantities_of
+from animarl_algos.whatif.answer import TrainedRun
 from animarl_algos.whatif.extrapolation import InputRange
+from animarl_algos.whatif.quantities import (
+    ALL,
+    measured_quantities,
+    quantities_of,
+    resolve_measures,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
-from animarl_envs.focus import COURSE, is_free
+from animarl_envs.focus import COURSE, FALLBACK, UPWIND, is_free
 from animarl_envs.scenario import Scenario
-from animarl_envs.species import ChaseSpecies, SearchSpecies
+from animarl_envs.species import ChaseSpecies, SearchSpecies, Species
 from animarl_envs.worlds import observation_components
 from animarl_envs.worlds.chase import layout as chase_layout
 from animarl_envs.worlds.chase import senses as chase_senses
@@ -47,7 +54,7 @@ from animarl_envs.worlds.search.world import SearchWorld
 MOST_INDIVIDUALS = 60
 MOST_BYTES = 5_000_000
 MOST_STARTS = 60
-PARTS = ("page.html", "page.css", "engine.js", "page.js")
+PARTS = ("page.html", "page.css", "measures.js", "engine.js", "page.js")
 SPECIES_FIELDS = (
     "name",
     "title",
@@ -105,8 +112,8 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
     species, arena = scenario.species, scenario.species.arena
     for sentence in _unsupported(scenario):
         raise InputError(sentence)
-    test = run.demos.select(split="test")
-    test = test.select(episodes=np.arange(min(len(test), MOST_STARTS)))
+    every = run.demos.select(split="test")
+    test = every.select(episodes=np.arange(min(len(every), MOST_STARTS)))
     unit = unit_of(run.demos)
     ranges = InputRange.of(species, run.demos.select(split="train"))
     model: dict[str, Any] = {
@@ -136,8 +143,8 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
             "words": list(ranges.words),
             "others": list(ranges.others),
         },
-        "starts": _starts(test, scenario),
-        "recorded": _recorded(test, run),
+        "starts": _starts(test, scenario) | {"of": len(every)},
+        **_measured(every, len(test), run),
     }
     if isinstance(species, ChaseSpecies):
         return model | {"senses": _chase_senses(species)}
@@ -242,6 +249,7 @@ def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
     species, frames = scenario.species, scenario.species.warmup + 1
     index = np.minimum(np.arange(frames), test.lengths[:, None] - 1) + test.offsets[:-1, None]
     acted = demonstrated_actions(test, species.locomotion).astype(np.int8)
+    recording = np.unique(test.recording, return_inverse=True)[1]
     starts: dict[str, Any] = {
         "frames": frames,
         "recorded": test.lengths.tolist(),
@@ -249,6 +257,7 @@ def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
         "velocity": _packed(test.velocities()[index]),
         "actions": _packed(acted[index]) if frames > 1 else None,
         "condition": test.condition.tolist(),
+        "recording": (np.arange(len(test)) if len(set(recording)) == 1 else recording).tolist(),
         "heading": None,
         "hits": None,
         "pattern": None,
@@ -267,18 +276,55 @@ def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
     return starts
 
 
-def _recorded(test: Demonstrations, run: TrainedRun) -> dict[str, Any]:
-    """Return what is measured of the recordings, and the path of each, coarsely."""
+def _measured(test: Demonstrations, shown: int, run: TrainedRun) -> dict[str, Any]:
+    """Return what is measured, and of the first recordings their values, and coarsely their paths.
+
+    Parameters
+    ----------
+    test
+        All test recordings, which thresholds and lags are taken from.
+    shown
+        How many of them the page has.
+    """
+    species, unit = run.scenario.species, unit_of(run.demos)
     rollouts = Rollouts.from_demonstrations(test)
-    measured = {
-        one.name: np.round(one.values(rollouts), 6).tolist()
-        for one in quantities_of(run.scenario.species, unit_of(run.demos))
-    }
-    paths = test.positions.astype(np.float32)
-    return {
+    prepared = Prepared(test, comparison_smoothing(test))
+    usual = list(quantities_of(species, unit, species.individuals))
+    keys = resolve_measures([ALL], test)
+    judged = list(measured_quantities(test, unit, keys, prepared.smoothing))
+    quantities, measured = [], {}
+    for one in (*usual, *judged):
+        values = one.values(rollouts)[:shown]
+        if np.isfinite(values).any():
+            scale = unit.per_arena_unit if one.unit.startswith(unit.name) else 1.0
+            described = {"name": one.name, "unit": one.unit, "kind": one.kind, "scale": scale}
+            quantities.append(described)
+            measured[one.name] = [round(v, 6) if np.isfinite(v) else None for v in values.tolist()]
+    first = test.select(episodes=np.arange(shown))
+    paths = first.positions.astype(np.float32)
+    recorded = {
         "measured": measured,
-        "offsets": test.offsets.tolist(),
+        "offsets": first.offsets.tolist(),
         "paths": _packed(paths) if paths.nbytes < MOST_BYTES / 5 else None,
+    }
+    measuring = _measuring(prepared, species)
+    return {"quantities": quantities, "recorded": recorded, "measuring": measuring}
+
+
+def _measuring(prepared: Prepared, species: Species) -> dict[str, Any]:
+    """Return what the verdict's measures need of the recordings, for ``measures.js``."""
+    test, grid = prepared.demos, prepared.demos.resolution()
+    low, size = prepared.rectangle
+    return {
+        "smoothing": prepared.smoothing,
+        "lags": list(prepared.lags),
+        "rest": prepared.rest.tolist(),
+        "slow": slow_speeds(prepared.recorded).tolist(),
+        "otherwise": UPWIND if isinstance(species, SearchSpecies) else FALLBACK,
+        "grid": grid and asdict(grid) | {"single": grid.single, "reach": grid.reach},
+        "low": low.tolist(),
+        "size": size.tolist(),
+        "maps": _packed(prepared.maps_of_others[:, : 1 if test.is_group else None]),
     }
 
 
@@ -318,7 +364,7 @@ def _fill(model: Mapping[str, Any]) -> str:
         "__TITLE__": html.escape(str(model["title"])),
         "__ORIGIN__": f"<p><strong>{SYNTHETIC}</strong></p>" if model["synthetic"] else "",
         "__STYLE__": parts["page.css"],
-        "__ENGINE__": parts["engine.js"],
+        "__ENGINE__": parts["measures.js"] + parts["engine.js"],
         "__PAGE__": parts["page.js"],
         "__DATA__": data,
     }

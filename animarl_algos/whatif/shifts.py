@@ -10,6 +10,7 @@ from animarl_algos.whatif.extrapolation import Caution
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 
+NORMAL_95 = 1.96
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
 NO_INTERVAL = "one test start: no interval"
@@ -80,3 +81,26 @@ def mean_over_starts(
     seed = np.repeat(np.arange(runs), len(values) // runs)
     data = cells(values, seed, recording[demo], int(recording.max()) + 1, counts)
     return bootstrap_mean(data, rng)
+
+
+def chance_error(values: Floats, start: Ints, counts: Bools) -> float:
+    """Return the half-width of the 95 % interval of a mean, from the chance of its rollouts alone.
+
+    It says how far the mean of other rollouts from the same starts would be; NaN where no start has
+    two of them.
+
+    Parameters
+    ----------
+    values, start, counts
+        ``(rollouts,)``: the value, a number for its start and network, whether it counts.
+    """
+    counts = counts & np.isfinite(values)
+    values, place = values[counts], np.unique(start[counts], return_inverse=True)[1]
+    number = np.bincount(place)
+    if not (number > 1).any():
+        return float("nan")
+    apart = values - (np.bincount(place, values) / number)[place]
+    several = number > 1
+    spread = np.bincount(place, apart**2)[several] / (number[several] - 1)
+    within = np.average(spread, weights=number[several])
+    return float(NORMAL_95 * np.sqrt(within / len(values)))

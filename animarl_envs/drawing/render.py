@@ -39,6 +39,7 @@ MOST_DRAWN = 9
 """Copies of a vector environment that are drawn, three in a row."""
 SIZE = 600  # width of a picture, or of a row of them [px]
 STRIP = 0.12  # height of the strip of text below
+LEAST_TEXT = 14  # of small pictures [px]
 MARGIN = 1.07  # how much wider the view is than what it must show
 ZOOM_STEP = 1.25  # the view widens in such steps when somebody leaves it
 MOVE_STEP = 0.125  # ... and in an open field moves in steps of this share of its half width
@@ -120,7 +121,7 @@ class Renderer:
             import pygame
         self._pygame: Any = pygame
         pygame.font.init()
-        self._text_size = max(9, round(0.024 * size))
+        self._text_size = max(LEAST_TEXT, round(0.024 * size))
         self._font = pygame.font.Font(None, round(1.15 * self._text_size))
         self._ground: tuple[Any, Surface] | None = None
         self._page = pygame.Surface((size, self.height), 0, 32)
@@ -345,11 +346,16 @@ class Renderer:
         species, pad = scene.species, 0.03 * self.size
         right, top = self.size - pad, 1.016 * self.size
         x = self._write(scene.title or species.title, pad, top, palette.TEXT)
-        if scene.condition:
-            self._write(f"  \u00b7  {scene.condition}", x, top, palette.MUTED_TEXT)
-        clock = f"{scene.step * species.dt:.1f} s   step {scene.step}"
+        room = right - pad - x
+        clock = f"{scene.step * species.dt:.1f} s"
+        condition = f"  \u00b7  {scene.condition}" if scene.condition else ""
+        longer = f"{clock}   step {scene.step}"
+        if self._font.size(condition + longer)[0] <= room:
+            clock = longer
+        if self._font.size(condition + clock)[0] <= room:
+            self._write(condition, x, top, palette.MUTED_TEXT)
         self._write(clock, right, top, palette.MUTED_TEXT, from_right=True)
-        x, top = pad, top + 0.045 * self.size
+        x, top = pad, top + max(0.045 * self.size, 1.05 * self._text_size)
         if scene.note:
             self._write(scene.note, right, top, palette.TEXT, from_right=True)
             right -= self._font.size(scene.note)[0] + pad

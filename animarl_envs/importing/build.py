@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING, INTERVAL
-from animarl_envs.errors import InputError, require
+from animarl_envs.errors import FaultCollector, InputError, require
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import clean, resample, runs, scales_of
 from animarl_envs.importing.cutting import (
@@ -196,19 +196,22 @@ def _cleaned(
     named: Sequence[Tracks], recipe: ImportRecipe, sessions: Sessions
 ) -> tuple[list[Tracks], dict[str, dict[str, Any]]]:
     """Return clean recordings, in cm where their scale is known, and what was done to each."""
-    cleaned, done = [], {}
+    cleaned, done, faults = [], {}, FaultCollector()
     likely = default_confidence(named)
     for tracks in named:
-        tracks, steps = clean(tracks, recipe.cleaning, likely)
-        done[tracks.recording] = steps | {"episodes": 0, "too_short": 0}
-        per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
-        if per_cm is not None:
-            require(
-                tracks.unit == "px",
-                f"{tracks.recording}: it is in {tracks.unit}, not in pixels: leave px_per_cm out",
-            )
-            tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
-        cleaned.append(tracks)
+        with faults.collect():
+            tracks, steps = clean(tracks, recipe.cleaning, likely)
+            done[tracks.recording] = steps | {"episodes": 0, "too_short": 0}
+            per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
+            if per_cm is not None:
+                require(
+                    tracks.unit == "px",
+                    f"{tracks.recording}: it is in {tracks.unit}, not in pixels: leave px_per_cm "
+                    "out",
+                )
+                tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
+            cleaned.append(tracks)
+    faults.refuse()
     return cleaned, done
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from animarl_envs.array_types import Floats, Ints
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, refuse_rows
 from animarl_envs.importing.tables import TextColumn
 
 Place = Callable[[int], str]  # what messages call a row, counted from 0
@@ -62,9 +62,10 @@ def fit_clock(
     usual step between times gives it. ``unsaid`` is the column of times of no stated unit, ``unit``
     that in which they were written [s].
     """
-    if not np.isfinite(time).all():
-        row = int((~np.isfinite(time)).argmax())
-        raise InputError(f"{path}: {place(row)} has no time: fill it in, or leave the row out")
+    refuse_rows(
+        np.flatnonzero(~np.isfinite(time)).tolist(),
+        lambda row: f"{path}: {place(row)} has no time: fill it in, or leave the row out",
+    )
     first = np.zeros(int(group.max()) + 1)
     digit = rounding(time, unit)
     if frames is not None:
@@ -81,10 +82,15 @@ def fit_clock(
         off = np.abs(since * tried - numbers)
         if tried > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
             return Clock(tried, numbers.astype(np.int64), first, float(off.max()))
-    raise InputError(
-        f"{path}: the time of {place(int(off.argmax()))} lies between frames at {tried:g} Hz: "
-        "correct it, or give the right --option fps=..."
+    worst = np.flatnonzero(off >= min(UNEVEN, float(off.max())))
+    refuse_rows(
+        worst[np.argsort(-off[worst], kind="stable")].tolist(),
+        lambda row: (
+            f"{path}: the time of {place(row)} lies between frames at {tried:g} Hz: correct it, or "
+            "give the right --option fps=..."
+        ),
     )
+    raise AssertionError
 
 
 def rate_of_rows(path: Path, time: Floats, place: Place) -> float:
@@ -125,11 +131,13 @@ def _rate_of_frames(
     before, after = _neighbours(group, frames)
     steps, passed = frames[after] - frames[before], time[after] - time[before]
     back = (steps > 0) & (passed < 0)
-    if back.any():
-        raise InputError(
-            f"{path}: the time of {place(int(after[back].min()))} is earlier than that of the "
-            "frame before: correct it, or give --option fps=... to count frames alone"
-        )
+    refuse_rows(
+        np.sort(after[back]).tolist(),
+        lambda row: (
+            f"{path}: the time of {place(row)} is earlier than that of the frame before: correct "
+            "it, or give --option fps=... to count frames alone"
+        ),
+    )
     rising = (steps > 0) & (passed > 0)
     if not rising.any():
         raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
@@ -266,12 +274,14 @@ def refuse_times_going_back(path: Path, time: Floats, track: Ints, place: Place)
     """
     before, after = _neighbours(track)
     back = after[time[after] < time[before]]
-    if len(back):
-        raise InputError(
-            f"{path}: the time of {place(int(back.min()))} is earlier than the one before of the "
-            "same individual (past midnight, or daylight saving?): write times that rise, or sort "
-            "the rows by time"
-        )
+    refuse_rows(
+        np.sort(back).tolist(),
+        lambda row: (
+            f"{path}: the time of {place(row)} is earlier than the one before of the same "
+            "individual (past midnight, or daylight saving?): write times that rise, or sort the "
+            "rows by time"
+        ),
+    )
 
 
 def seconds(path: Path, column: str, values: Floats | TextColumn, unit: str | None) -> Floats:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from animarl_envs.array_types import Floats, Ints
-from animarl_envs.errors import InputError, require
+from animarl_envs.errors import InputError, refuse_rows, require
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing.clock import LARGEST_FRAME
 from animarl_envs.importing.tables import Table
@@ -16,12 +16,13 @@ SPARSE, SMALL = 100, 2**20  # cells of frame and individual: so many a row, and 
 def frame_numbers(table: Table, column: str, frames: Floats) -> Ints:
     """Return frames as whole numbers; refuse others."""
     bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
-    if bad.any():
-        at = int(bad.argmax())
-        raise InputError(
-            f"{table.path}: {table.place(at)}, column {column!r} holds {frames[at]:g}: give whole "
-            "numbers from 0"
-        )
+    refuse_rows(
+        np.flatnonzero(bad).tolist(),
+        lambda row: (
+            f"{table.path}: {table.place(row)}, column {column!r} holds {frames[row]:g}: give "
+            "whole numbers from 0"
+        ),
+    )
     return frames.astype(np.int64)
 
 
@@ -36,7 +37,7 @@ def refuse_two_rows(
     """Refuse a second row of one frame and individual; ``rows`` are those of the table."""
     twice = np.flatnonzero(np.bincount(cell) > 1)
     if len(twice):
-        frame, individual = divmod(int(twice[0]), len(individuals))
+        individual = int(twice[0]) % len(individuals)
         second = int(np.flatnonzero(cell == twice[0])[1])
         before = cell[:second][cell[:second] % len(individuals) == individual]
         require(
@@ -44,10 +45,15 @@ def refuse_two_rows(
             f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
             "session: add a column recording that tells the sessions apart, or split the file",
         )
-        raise InputError(
-            f"{table.path}: {recording}, frame {first + frame}, {individuals[individual]} has two "
-            "rows: drop the duplicate, or name the recording column"
-        )
+
+        def name_place(of: int) -> str:
+            frame, individual = divmod(of, len(individuals))
+            return (
+                f"{table.path}: {recording}, frame {first + frame}, {individuals[individual]} has "
+                "two rows: drop the duplicate, or name the recording column"
+            )
+
+        refuse_rows(twice.tolist(), name_place)
 
 
 def is_sparse(frames: Ints, recording: Ints, individuals: int) -> bool:

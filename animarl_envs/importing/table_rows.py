@@ -11,7 +11,7 @@ import numpy as np
 
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.errors import InputError, require
+from animarl_envs.errors import FaultCollector, InputError, require
 from animarl_envs.importing import tables
 from animarl_envs.importing.clock import (
     IN_SECONDS,
@@ -99,21 +99,23 @@ def tracks_of_rows(
     fps, frames, start = _frames_of(table, columns, rows, fps, heading, provenance)
     if rows.names and is_sparse(frames, rows.recording, len(rows.names)):
         start = _split_tracks(rows, frames, start, provenance)
-    tracks = []
+    tracks, faults = list[Tracks](), FaultCollector()
     for at in range(len(rows.recordings)):
         alone = len(rows.recordings) == 1  # a slice, since copies of a gigabyte are felt
         own = slice(None) if alone else np.flatnonzero(rows.recording == at)
-        tracks.append(
-            Tracks(
-                recording=rows.recordings[at],
-                frame_rate=fps,
-                unit=columns.unit or "px",
-                y_down=y_down,
-                start_time=float(start[at]),
-                provenance=provenance,
-                **_place_rows(table, columns, rows, own, frames[own], heading),
+        with faults.collect():
+            tracks.append(
+                Tracks(
+                    recording=rows.recordings[at],
+                    frame_rate=fps,
+                    unit=columns.unit or "px",
+                    y_down=y_down,
+                    start_time=float(start[at]),
+                    provenance=provenance,
+                    **_place_rows(table, columns, rows, own, frames[own], heading),
+                )
             )
-        )
+    faults.refuse()
     return centre_arenas(tracks) if columns.arena else tracks
 
 

@@ -13,7 +13,7 @@ import itertools
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from importlib import import_module
@@ -25,7 +25,14 @@ import numpy as np
 from animarl_envs import files
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import refusing_damage
-from animarl_envs.errors import InputError, MissingExtraError, require, require_extra
+from animarl_envs.errors import (
+    InputError,
+    MissingExtraError,
+    SeveralFaultsError,
+    refuse_rows,
+    require,
+    require_extra,
+)
 from animarl_envs.importing.table_layout import (
     BLANK,
     UTF_8,
@@ -188,11 +195,12 @@ class Table(Layout):
         place = np.full(len(known), -1)
         place[used] = [places[text] for text in texts]
         own = place[number]
-        if (own < 0).any() and not may_be_empty:
-            raise InputError(
-                f"{self.path}: {self.place(int((own < 0).argmax()))} has no {name}: fill it in, "
-                "or leave the row out"
-            )
+        refuse_rows(
+            () if may_be_empty else np.flatnonzero(own < 0).tolist(),
+            lambda row: (
+                f"{self.path}: {self.place(row)} has no {name}: fill it in, or leave the row out"
+            ),
+        )
         return TextColumn(entries, own)
 
     @property
@@ -271,7 +279,11 @@ class Table(Layout):
                         progress(min(file.tell() / size, 1.0))
         except pyarrow.ArrowInvalid as error:
             if "Empty CSV file" not in str(error):
-                raise InputError(f"{self.path}: {self._fault(str(error))}") from None
+                faults = list(self._find_faults(numbers)) or [self._fault(str(error))]
+                faults = [f"{self.path}: {fault}" for fault in faults]
+                raise (
+                    InputError(faults[0]) if len(faults) == 1 else SeveralFaultsError(faults)
+                ) from None
         schema = pyarrow.schema(list(zip(at, kinds, strict=True)))
         table = pyarrow.Table.from_batches(batches, schema).unify_dictionaries()
         rows = len(table)
@@ -279,19 +291,43 @@ class Table(Layout):
             rows -= 1  # spreadsheets write empty rows at the end
         return table.slice(0, rows).rename_columns(wanted)
 
+    def _find_faults(self, numbers: Sequence[str]) -> Iterator[str]:
+        """Yield what is wrong with the lines of the table, and with the cells of its numbers."""
+        between = "\t" if self.separator == BLANK else self.separator
+        columns = {name: self.names.index(name) for name in numbers}
+        lines = io.TextIOWrapper(self._rows(), UTF_8, errors="replace", newline="")
+        with lines, contextlib.suppress(csv.Error):
+            rows = csv.reader(lines, delimiter=between)
+            for cells in rows:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                line = f"line {self.first + rows.line_num}"
+                if len(cells) != len(self.names):
+                    yield _wrong_length(line, len(cells), len(self.names))
+                    continue
+                for name, at in columns.items():
+                    if not self._holds_number(cells[at]):
+                        yield _no_number(line, name, cells[at])
+
+    def _holds_number(self, cell: str) -> bool:
+        """Return whether a cell is empty or a number, as Arrow reads it."""
+        text = cell.strip()
+        if text in _NULLS:
+            return True
+        other = "." if self.decimal == "," else ","
+        try:
+            float(text.replace(self.decimal, "."))
+        except ValueError:
+            return False
+        return not {other, "_"} & set(text)
+
     def _fault(self, message: str) -> str:
         """Return where and why Arrow failed, and how to fix it."""
         if bad := re.search(r"Row #(\d+): Expected \d+ columns, got (\d+)", message):
-            return (
-                f"{self.place(int(bad[1]) - 1)} has {bad[2]} cells, the header {len(self.names)}: "
-                "correct the line, or copy the file again"
-            )
+            return _wrong_length(self.place(int(bad[1]) - 1), int(bad[2]), len(self.names))
         if bad := re.search(r"column #(\d+): Row #(\d+): .* value '(.{0,40})", message, re.DOTALL):
-            cell = bad[3].removesuffix("'")
-            return (
-                f"{self.place(int(bad[2]) - 1)}, column {self.names[int(bad[1])]!r} holds "
-                f"{cell!r}, which is no number: correct it, or name another column by an option"
-            )
+            line, name = self.place(int(bad[2]) - 1), self.names[int(bad[1])]
+            return _no_number(line, name, bad[3].removesuffix("'"))
         return f"a line cannot be read ({message.splitlines()[0][:200]}): correct it"
 
     # -- Parquet -------------------------------------------------------------------------------
@@ -329,6 +365,17 @@ class Table(Layout):
         if progress is not None:
             progress(1.0)
         return table.unify_dictionaries()
+
+
+def _wrong_length(line: str, cells: int, names: int) -> str:
+    return f"{line} has {cells} cells, the header {names}: correct the line, or copy the file again"
+
+
+def _no_number(line: str, name: str, cell: str) -> str:
+    return (
+        f"{line}, column {name!r} holds {cell[:40]!r}, which is no number: correct it, or name "
+        "another column by an option"
+    )
 
 
 def open_table(

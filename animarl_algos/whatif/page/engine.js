@@ -870,15 +870,16 @@ const AnimaRL = (() => {
 
   /**
    * Simulate from recorded starts; tasks are [start, repetition]. Same seed, same random numbers.
-   * Returns for each task what is measured of it; onProgress gets the share done, and may wait.
+   * Returns for each task what is measured of it, with measured also the verdict's measures (Measures);
+   * onProgress gets the share done, and may wait.
    */
-  async function rollOut(model, options, tasks, seed, onProgress = null) {
+  async function rollOut(model, options, tasks, seed, onProgress = null, measured = false) {
     const K = model.individuals.length, B = tasks.length;
     const world = makeWorld(model, options, B), policy = new Policy(model, B);
     const flags = new Int8Array(B), random = tasks.map(([start, again]) => stream(seed, start, again));
     const path = new Float64Array(B * K), near = new Float64Array(B), frames = new Int32Array(B).fill(1);
     const beyond = new Float64Array(K), seen = new Float64Array(K), inputs = new Float64Array(2 * K * world.n);
-    const actions = new Int32Array(K);
+    const actions = new Int32Array(K), tracks = tasks.map(() => []);
     tasks.forEach(([start], b) => {
       const [condition, told] = conditions(model, options, start);
       flags[b] = told;
@@ -898,6 +899,7 @@ const AnimaRL = (() => {
           beyond[i] += countBeyond(model, i, world.observation, slot * world.n, inputs);
         }
         const warming = world.warming(b), old = world.position.slice(2 * b * K, 2 * (b + 1) * K);
+        if (measured) tracks[b].push(old);
         if (warming) actionsOf(model, world, b, old, policy, actions);
         world.step(b, actions);
         for (let i = 0; i < K; i++) {
@@ -911,7 +913,7 @@ const AnimaRL = (() => {
       }
       running = running.filter((b) => !world.over[b]);
       if (onProgress && Date.now() - waited > 50) {
-        await onProgress(1 - running.length / B);
+        await onProgress(Math.max(1 - running.length / B, running.length ? world.steps[running[0]] / world.limit : 1));
         waited = Date.now();
       }
     }
@@ -923,6 +925,7 @@ const AnimaRL = (() => {
         path: (scale * own.reduce((sum, value) => sum + value, 0)) / there,
         distance: (scale * near[b]) / frames[b],
         speed: Array.from(own, (value) => (scale * value) / Math.max(seconds, model.dt)),
+        measures: measured ? Measures.measure(model, options, [...tracks[b], world.position.slice(2 * b * K, 2 * (b + 1) * K)], start, world.outcome[b]) : null,
       };
     });
     return {
@@ -1037,19 +1040,39 @@ const AnimaRL = (() => {
     2.16, 2.145, 2.131, 2.12, 2.11, 2.101, 2.093, 2.086, 2.08, 2.074, 2.069, 2.064, 2.06, 2.056,
     2.052, 2.048, 2.045, 2.042];
 
-  /** Mean of paired differences with Student's 95 % interval over recorded starts. */
-  function pairedShift(before, after, value) {
+  /**
+   * Mean of paired differences with Student's 95 % interval over recordings: units[start] is the
+   * recording of a start, or the start itself where there is one recording.
+   */
+  function pairedShift(before, after, value, units) {
     const sums = new Map();
     before.forEach((one, k) => {
-      const [sum, count] = sums.get(one.start) || [0, 0];
-      sums.set(one.start, [sum + value(after[k]) - value(one), count + 1]);
+      const unit = units[one.start], difference = value(after[k]) - value(one);
+      const [sum, count] = sums.get(unit) || [0, 0];
+      if (!Number.isNaN(difference)) sums.set(unit, [sum + difference, count + 1]);
     });
-    const means = Array.from(sums.values(), ([sum, count]) => sum / count), n = means.length;
-    const mean = means.reduce((sum, one) => sum + one, 0) / n;
+    const all = [...sums.values()], n = all.length, counts = all.reduce((sum, [, count]) => sum + count, 0);
+    const mean = all.reduce((sum, [part]) => sum + part, 0) / counts;
     if (n < 2) return { mean, low: NaN, high: NaN };
-    const variance = means.reduce((sum, one) => sum + (one - mean) ** 2, 0) / (n - 1);
-    const half = (T975[n - 2] || 1.96 + 2.4 / n) * Math.sqrt(variance / n);
+    const square = all.reduce((sum, [part, count]) => sum + (part - count * mean) ** 2, 0) / (n - 1);
+    const half = (T975[n - 2] || 1.96 + 2.4 / n) * Math.sqrt(square * n) / counts;
     return { mean, low: mean - half, high: mean + half };
+  }
+
+  /** Mean, and the half-width of its 95 % interval by the chance of rollouts from the same starts alone. */
+  function meanWithChance(results, value) {
+    const groups = new Map();
+    for (const one of results) {
+      const number = value(one);
+      if (!Number.isNaN(number)) groups.set(one.start, [...(groups.get(one.start) || []), number]);
+    }
+    const all = [...groups.values()], count = all.flat().length, average = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
+    const several = all.filter((values) => values.length > 1), of = several.flat().length;
+    const within = several.reduce((sum, values) => {
+      const middle = average(values);
+      return sum + (values.length / of) * values.reduce((square, one) => square + (one - middle) ** 2, 0) / (values.length - 1);
+    }, 0);
+    return { mean: average(all.flat()), error: several.length ? 1.96 * Math.sqrt(within / count) : NaN };
   }
 
   /** Return the action that pushes individual i most nearly along (x, y) of the arena frame. */
@@ -1065,6 +1088,6 @@ const AnimaRL = (() => {
     return best;
   }
 
-  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, ThrustSearch, findThrusts, pairedShift, actionTowards };
+  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, ThrustSearch, findThrusts, pairedShift, meanWithChance, actionTowards };
 })();
 if (typeof module !== "undefined") module.exports = AnimaRL;

@@ -12,7 +12,7 @@
   // -- the change ----------------------------------------------------------------------------------
 
   const factors = {}; // by control: a factor on what is there
-  function slider(key, label, least = 1 / 4, most = 4) {
+  function slider(key, label, least = 1 / 4, most = 4, parent = $("controls")) {
     const box = document.createElement("div"), id = `control-${key}`;
     box.className = "control";
     const text = document.createElement("label"), out = document.createElement("output");
@@ -28,7 +28,7 @@
     };
     input.addEventListener("input", () => { say(); changed(); });
     box.append(text, out, input);
-    $("controls").append(box);
+    parent.append(box);
     say();
     return { text, reset: () => { input.value = 0; say(); } };
   }
@@ -46,10 +46,15 @@
   }
 
   const body = choice("body", "Sliders of animals change", [["thrust", "thrust"], ["speed", "achieved speed"]], "thrust");
-  // Animals of a group without a target are alike: one slider changes all of them.
-  const alike = model.free && K > 1, own = alike ? ["all animals"] : names;
-  const factorOf = (i) => factors[`body-${alike ? 0 : i}`];
-  const sliders = own.map((name, i) => slider(`body-${i}`, `Thrust of ${name}`));
+  // A group without a target has a slider for all, and those of single animals folded away below it.
+  const alike = model.free && K > 1, own = alike ? ["all animals", ...names] : names;
+  const factorOf = (i) => (alike ? factors.all * factors[`body-${i}`] : factors[`body-${i}`]);
+  const sliders = alike ? [slider("all", "Thrust of all animals")] : [];
+  const fold = document.createElement("details"), summary = document.createElement("summary");
+  summary.textContent = "One animal alone";
+  fold.append(summary);
+  if (alike) $("controls").append(fold);
+  names.forEach((name, i) => sliders.push(slider(`body-${i}`, `Thrust of ${name}`, 1 / 4, 4, alike ? fold : $("controls"))));
   body.addEventListener("change", () =>
     own.forEach((name, i) => (sliders[i].text.textContent = `${body.value === "speed" ? "Speed" : "Thrust"} of ${name}`)));
   let found = null; // factors on thrusts that wanted speeds take, once they are known
@@ -83,6 +88,8 @@
     all.forEach(([, box]) => box.addEventListener("change", () => { mark(); changed(); }));
     return [{ reset: () => { all.forEach(([, box]) => (box.checked = true)); mark(); } }];
   }
+  const kinds = [...new Set(model.quantities.map(({ kind }) => kind))];
+  const kind = choice("kind", "Compare", kinds.map((one) => [one, one]), kinds[0]);
   const seed = choice("seed", "Random numbers", [0, 1, 2, 3, 4].map((k) => [k, `seed ${k}`]), 0);
 
   function options() {
@@ -329,10 +336,10 @@
     onmessage = async ({ data }) => {
       if (data.model) { model = AnimaRL.unpack(data.model); return; }
       const progress = (share) => postMessage({ id: data.id, share });
-      const { options, wanted, tasks, seed } = data, known = await model;
+      const { options, wanted, tasks, seed, measured } = data, known = await model;
       const found = wanted
         ? await AnimaRL.findThrusts(known, options, wanted, tasks, seed, progress)
-        : await AnimaRL.rollOut(known, options, tasks, seed, progress);
+        : await AnimaRL.rollOut(known, options, tasks, seed, progress, measured);
       postMessage({ id: data.id, found });
     };`;
   const program = URL.createObjectURL(new Blob([$("engine").textContent, GLUE], { type: "text/javascript" }));
@@ -359,25 +366,34 @@
         if (data.found) resolve(data.found);
         else share(data.share);
       };
-      worker.postMessage({ id, options: chosen, tasks, wanted, seed: Number(seed.value) });
+      worker.postMessage({ id, options: chosen, tasks, wanted, seed: Number(seed.value), measured: kind.value !== kinds[0] });
     });
   }
 
   const meanOf = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
-  const quantities = model.free ? [
-    ["speed", `${model.unit.name}/s`, (one) => meanOf(one.speed)],
-    ...(K > 1 ? [["nearest neighbour", model.unit.name, (one) => one.distance]] : []),
-  ] : [
-    ["reached", "share", (one) => one.reached], ["duration", "s", (one) => one.duration],
-    ["path length", model.unit.name, (one) => one.path], ["mean distance", model.unit.name, (one) => one.distance],
-    ...names.map((name, i) => [`speed of ${name}`, `${model.unit.name}/s`, (one) => one.speed[i], i]),
-  ];
+  /** How each quantity is read from an episode; those that are not here are measures of the verdict. */
+  const readings = {
+    speed: (one) => meanOf(one.speed), "nearest neighbour": (one) => one.distance, "mean distance": (one) => one.distance,
+    reached: (one) => one.reached, duration: (one) => one.duration, "path length": (one) => one.path,
+  };
+  names.forEach((name, i) => (readings[`speed of ${name}`] = (one) => one.speed[i]));
+  const quantities = model.quantities.map((one) => {
+    const reading = one.kind === kinds[0] && readings[one.name], usually = (result) => one.scale * (result.measures[one.name] ?? NaN);
+    return { ...one, value: reading || usually, index: names.findIndex((name) => one.name.endsWith(` of ${name}`) || one.name.endsWith(`, ${name}`)) };
+  });
 
   async function answer() {
     const token = (waiting = {});
     freshWorker();
-    const say = (part) => (share) => { $("progress").textContent = `${part}: ${Math.round(100 * share)} % of ${ROLLOUTS} episodes`; };
-    const key = seed.value;
+    const say = (part) => {
+      const first = performance.now();
+      $("progress").textContent = `${part}: ${ROLLOUTS} episodes are simulated ...`;
+      return (share) => {
+        const left = ((performance.now() - first) / 1000) * (1 / share - 1);
+        $("progress").textContent = `${part}: ${Math.round(100 * share)} % of ${ROLLOUTS} episodes${share > 0 ? `, about ${Math.ceil(left)} s left` : ""}`;
+      };
+    };
+    const key = `${seed.value} ${kind.value === kinds[0]}`;
     if (!baselines.has(key)) baselines.set(key, await simulate(usual, say("unchanged world")));
     if (token !== waiting) return;
     const before = baselines.get(key), moved = names.map((_, i) => i).filter((i) => factorOf(i) !== 1 && !absent.has(i));
@@ -412,26 +428,28 @@
       : "The animals perceive hardly anything that they did not perceive in training.";
     const body = $("table");
     body.replaceChildren();
-    const shown = quantities.filter(([, , , i]) => !absent.has(i)); // a quantity of nobody is not asked
-    for (const [name, unit, value] of shown) {
-      const mean = (all) => all.reduce((sum, one) => sum + value(one), 0) / all.length;
-      const recorded = model.recorded.measured[name], truth = recorded.reduce((sum, one) => sum + one, 0) / recorded.length;
-      const [b, a] = [mean(before.results), mean(after.results)];
-      const shift = AnimaRL.pairedShift(before.results, after.results, value);
+    // A quantity of nobody is not asked, nor the speed of one of a group that is not changed alone.
+    const alone = (i) => !alike || kind.value !== kinds[0] || i < 0 || factors[`body-${i}`] !== 1;
+    const shown = quantities.filter((one) => one.kind === kind.value && !absent.has(one.index) && alone(one.index));
+    const known = (name) => model.recorded.measured[name].filter((value) => value !== null);
+    for (const { name, unit, value } of shown) {
+      const truth = meanOf(known(name)), [{ mean: b, error }, { mean: a, error: later }] = [before, after].map(({ results }) => AnimaRL.meanWithChance(results, value));
+      const shift = AnimaRL.pairedShift(before.results, after.results, value, model.starts.recording);
       const unclear = shift.low <= 0 && shift.high >= 0, small = Math.abs(shift.mean) < Math.abs(b - truth);
       const row = body.insertRow();
       row.className = red ? "hatched" : unclear || small ? "grey" : "";
-      const number = (x) => Number(x.toPrecision(3)).toString();
-      const sign = shift.mean > 0 ? "+" : "";
-      [name, number(truth), number(b), number(a), `${sign}${number(shift.mean)} [${number(shift.low)}, ${number(shift.high)}] ${unit}`]
+      const number = (x, digits = 3) => (Number.isNaN(x) ? "not known" : Number(x.toPrecision(digits)).toString());
+      const sign = shift.mean > 0 ? "+" : "", chance = (x, by) => number(x) + (Number.isNaN(by) ? "" : ` ± ${number(by, 2)}`);
+      [name, number(truth), chance(b, error), chance(a, later), `${sign}${number(shift.mean)} [${number(shift.low)}, ${number(shift.high)}] ${unit}`]
         .forEach((text) => (row.insertCell().textContent = text));
     }
     const box = $("histograms");
     const leaving = !model.free || [...before.results, ...after.results].some((one) => one.outcome !== 0);
     box.replaceChildren(...(leaving ? [outcomes(before.results, after.results)] : []));
-    const moving = shown.filter(([name]) => model.free || name === "duration" || name === "path length" || name.startsWith("speed"));
-    for (const [name, unit, value] of moving.slice(0, 5)) {
-      box.append(histogram(`${name} [${unit}]`, model.recorded.measured[name], before.results.map(value), after.results.map(value)));
+    const moving = shown.filter(({ name }) => name !== "reached" && name !== "mean distance");
+    for (const { name, unit, value } of moving.slice(0, 5)) {
+      const [one, other] = [before, after].map(({ results }) => results.map(value).filter((number) => !Number.isNaN(number)));
+      if (one.length && other.length) box.append(histogram(unit ? `${name} [${unit}]` : name, known(name), one, other));
     }
   }
 
@@ -505,6 +523,8 @@
     timer = setTimeout(answer, 150);
   }
 
+  const fewest = Math.floor(ROLLOUTS / starts), most = Math.ceil(ROLLOUTS / starts), of = model.starts.of;
+  $("rollouts").textContent = `${ROLLOUTS} rollouts, ${fewest === most ? most : `${fewest} or ${most}`} from each of ${starts} test starts${starts < of ? ` (the first of ${of})` : ""}.`;
   begin();
   requestAnimationFrame(frame);
   answer();

@@ -20,7 +20,15 @@ from animarl_envs import wall
 from animarl_envs.arena import Arena
 from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError, MissingExtraError, printable, require
+from animarl_envs.errors import (
+    FaultCollector,
+    InputError,
+    MissingExtraError,
+    join_errors,
+    printable,
+    require,
+    sentences_of,
+)
 from animarl_envs.files import read_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.hdf import is_hdf, open_hdf
@@ -311,6 +319,7 @@ def follow(
         raise InputError("no file was given: name at least one")
     seen: set[Path] = set()
     parts: list[tuple[Path, Tracks]] = []
+    faults = FaultCollector()
     for number, file in enumerate(files):
         if file.resolve() in seen:
             raise InputError(f"{file}: it is given twice: name it once")
@@ -320,8 +329,10 @@ def follow(
             if progress is not None:
                 progress((number + share) / len(files))
 
-        result = read_tracks(file, recipe.source, progress=report, **recipe.options)
-        parts += [(file, tracks) for tracks in result]
+        with faults.collect():
+            result = read_tracks(file, recipe.source, progress=report, **recipe.options)
+            parts += [(file, tracks) for tracks in result]
+    faults.refuse()
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
     if recipe.merge_individuals:
         parts_of_one = one_per_individual([tracks for _, tracks in parts])
@@ -330,7 +341,15 @@ def follow(
     try:
         return demonstrations_from_tracks(merge([tracks for _, tracks in parts]), recipe, name)
     except InputError as error:  # put the file before a sentence about a recording
-        for file, tracks in parts:
-            if str(error).startswith((f"{tracks.recording}: ", f"{tracks.recording}, ")):
-                raise InputError(f"{file}: {error}") from None
-        raise
+        sentences = [InputError(_with_file(one, parts)) for one in sentences_of(error)]
+        if [str(one) for one in sentences] == sentences_of(error):
+            raise
+        raise join_errors(sentences) from None
+
+
+def _with_file(sentence: str, parts: Sequence[tuple[Path, Tracks]]) -> str:
+    """Return a sentence about a recording with the file of the recording before it."""
+    for file, tracks in parts:
+        if sentence.startswith((f"{tracks.recording}: ", f"{tracks.recording}, ")):
+            return f"{file}: {sentence}"
+    return sentence

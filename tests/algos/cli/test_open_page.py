@@ -9,6 +9,7 @@ from threading import Thread
 from urllib.parse import quote, urlencode
 
 import pytest
+from browser import serious_findings
 from report_inputs import report_page
 
 from animarl_algos.cli import opening
@@ -139,6 +140,11 @@ def test_the_open_page_in_a_browser(server: opening.RunsServer, browser: object)
     page.set_viewport_size({"width": 390, "height": 844})
     page.goto(server.url)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        assert serious_findings(page) == []
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
     page.get_by_label("Files of a tracker").fill("tracks.csv")
     page.get_by_label("Name of the result").fill("mine")
     page.get_by_role("button", name="Import").press("Enter")

@@ -231,4 +231,4 @@ def test_simulated_tracks_are_written_as_import_reads_them(
         order = [track.individuals.index(name) for name in rollouts.individuals]
         place = track.positions[0, order, 0] / size
         np.testing.assert_allclose(place, rollouts.path(0)[0], atol=1e-6)
-    refused(animarl("simulate", "fly", "--out", "a.txt"), "choose .csv, .parquet, .nc")
+    refused(animarl("simulate", "fly", "--out", "a.txt"), "choose .csv, .parquet, .nc, .nwb")

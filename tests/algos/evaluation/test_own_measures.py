@@ -16,7 +16,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import compare
 from animarl_algos.evaluation.verdict_rows import DIFFERS, Questions, Row
 from animarl_algos.report.verdict_section import conditions_as_table
-from animarl_algos.whatif.answer import quantities_of
+from animarl_algos.whatif.quantities import quantities_of
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import listen
+from browser import listen, serious_findings
 from report_inputs import group_page, report_page, whatif_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -397,3 +397,10 @@ def begins(text: str, line: str) -> bool:
 def ends(text: str, line: str) -> bool:
     """Whether a line is all of a text, or the last of its lines."""
     return text == line or (len(line) > 12 and text.endswith(line))
+
+
+@pytest.mark.parametrize(("name", "scheme"), [("report", "light"), ("group", "dark")])
+def test_axe_finds_nothing_serious_on_the_page_of_a_run(
+    open_page: Open, name: str, scheme: str
+) -> None:
+    assert serious_findings(open_page(390, name=name, color_scheme=scheme)) == []

@@ -20,7 +20,7 @@ from animarl_algos import load_run
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report.inputs import duration, flattened
-from animarl_algos.runs import pipeline
+from animarl_algos.runs import pipeline, run_set
 from animarl_algos.runs.evaluating import (
     INFORMATION,
     far_acting_rules,
@@ -391,3 +391,15 @@ def test_warnings_stand_on_the_page_once() -> None:
     warned = replace(report_inputs(), warnings=("It jumps & jumps.", "It jumps & jumps."))
     page = rendered(warned)
     assert page.count('<p class="caution">It jumps &amp; jumps.</p>') == 1
+
+
+@pytest.mark.slow
+def test_folds_are_the_same_whatever_the_number_of_processes(tmp_path: Path) -> None:
+    files = []
+    for processes in (1, 2):
+        run = made(tmp_path / str(processes), "soft-bc", demos=few(train=4), rolled_out=False)
+        pipeline.cross_validate(run, 3, processes=processes, progress_bar=False)
+        assert {"fold 2 of 3", "fold 3 of 3"} <= set(run.wall_times())
+        policies = sorted((run.path / run_set.FOLDER).rglob("policies/*.pt"))
+        files.append([file.read_bytes() for file in policies])
+    assert len(files[0]) == 2 and files[0] == files[1]

@@ -97,6 +97,14 @@ def test_one_outlier_does_not_make_the_arena(shape: str) -> None:
     assert np.subtract(own[1].centre, own[0].centre) == pytest.approx([100.0, 100.0])
 
 
+def test_a_moved_camera_is_noticed() -> None:
+    rng = np.random.default_rng(0)
+    paths = [rng.uniform(-1, 1, (400, 1, 2)) + [shift, 0] for shift in (0.0, 0.8, 1.6)]
+    made = episodes_along(paths, individuals=("a",), roles=("pursuer",), species="custom")
+    (told,) = describe_ground(replace(made, recording=np.array(["r0", "r1", "r2"])))
+    assert "--centre-each" in told
+
+
 def test_a_corridor_and_a_ring_are_noticed() -> None:
     rng = np.random.default_rng(0)
     angle, radius = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(0.8, 1.0, 4000)

@@ -17,7 +17,7 @@ import pytest
 from refusals import refused, refuses
 
 from animarl_envs import wall
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, SeveralFaultsError
 from animarl_envs.files import load_npy
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
@@ -161,3 +161,16 @@ def test_short_stretches_are_counted_and_do_not_hide_the_contact(tmp_path: Path)
     demos = read(path, frame_rate=25.0, target="hare")
     assert demos.num_episodes == 8 and (demos.outcome == 1).all()
     assert all(one["too_short"] == 2 for one in demos.provenance["cleaning"].values())
+
+
+def test_one_import_lists_the_faults_of_all_lines_and_files(tmp_path: Path) -> None:
+    cells, rows = tmp_path / "cells.csv", tmp_path / "rows.csv"
+    cells.write_text("frame,id,x,y\n0,a,1,2\n1,a,x1,2\n2,a,1,2,3\n3,a,1,z\n4,a,1,2\n")
+    double = [f"{r},{f},p,1,2\n{r},{f},p,1,2" for r in "AB" for f in range(8)]
+    rows.write_text("recording,frame,id,x,y\n" + "\n".join(double) + "\n")
+    with pytest.raises(SeveralFaultsError) as refused:
+        follow(ImportRecipe(target=None, frame_rate=10.0), [cells, rows])
+    lines = str(refused.value).splitlines()
+    assert [line.split(" ")[1:3] for line in lines[:3]] == [["line", n] for n in ("3,", "4", "5,")]
+    assert "B, frame 0" not in lines[10] and lines[10] == "and 9 more" and len(lines) == 11
+    assert pickle.loads(pickle.dumps(refused.value)).args == refused.value.args

@@ -163,7 +163,7 @@ def test_views_and_options_of_free_animals() -> None:
 
 def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:
     pytest.importorskip("stable_baselines3")
-    from animarl_algos.whatif.answer import quantities_of
+    from animarl_algos.whatif.quantities import quantities_of
     from animarl_envs.demos.summary import RECORDED_SCALE
 
     for animals, asked in ((1, ["speed"]), (4, ["speed", "nearest neighbour"])):
