@@ -14,7 +14,8 @@ class Log:
 
     def write(self, text: str) -> None:
         """Write a text, each state of the bar on a line of its own."""
-        sys.stderr.write(text.replace("\r", "\n"))
+        if line := text.strip("\r\n "):
+            sys.stderr.write(f"{line}\n")
 
     def flush(self) -> None:
         """Flush the standard error."""

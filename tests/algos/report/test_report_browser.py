@@ -230,10 +230,13 @@ def test_nothing_overflows_and_pictures_are_there(
     assert all(w > 40 and h > 40 and right <= width for w, h, right in boxes)
 
 
-def test_details_are_folded_until_they_are_asked_for(open_page: Open) -> None:
-    page = open_page(1280, 900)
+@pytest.mark.parametrize("name", ["report", "group"])
+def test_details_are_folded_and_a_page_has_at_most_eight_screens(
+    open_page: Open, name: str
+) -> None:
+    page = open_page(1280, 800, name=name)
     page.reload()
-    assert page.evaluate("document.documentElement.scrollHeight") < 8 * 900
+    assert page.evaluate("document.documentElement.scrollHeight") <= 8 * 800
     assert not page.is_visible("#provenance p >> nth=0")
     page.click("#provenance summary")
     assert page.is_visible("#provenance p >> nth=0")
