@@ -65,13 +65,13 @@ class FocusTable(NamedTuple):
     share: float  # of a step in a course
 
 
-def focus_table(roles: Sequence[str], dt: float = 1.0) -> FocusTable:
+def focus_table(roles: Sequence[str], dt: float = 1.0, course_time: float = COURSE) -> FocusTable:
     """Return the focus table of individuals with ``roles``."""
     others, free = np.zeros((len(roles), len(roles)), dtype=bool), is_free(roles)
     if "target" in roles:
         others[:-1, -1] = others[-1, :-1] = True
     otherwise = np.tile(UPWIND if "searcher" in roles else FALLBACK, (len(roles), 1))
-    return FocusTable(others, otherwise, free, share_of(COURSE, dt))
+    return FocusTable(others, otherwise, free, share_of(course_time, dt))
 
 
 @inline_kernel
@@ -110,13 +110,15 @@ def focus_directions(
     velocities: NDArray[np.floating] | None = None,
     steps: NDArray[np.integer] | None = None,
     dt: float = 1.0,
+    course_time: float = COURSE,
 ) -> Floats:
     """Return unit vectors to each individual's focus, ``(..., individuals, 2)``, arena frame.
 
     ``positions`` are ``(..., individuals, 2)`` [arena unit]; of ``roles`` the target comes last, or
     a pursuer of several targets (:func:`lone_pursuer`). The course of a free animal follows
-    from its ``velocities``, the ``steps`` since the start and their duration ``dt`` [s]; without
-    them it has not moved yet. Where the distance is zero the direction is ``FALLBACK``.
+    from its ``velocities``, the ``steps`` since the start and their duration ``dt`` [s], averaged
+    over ``course_time`` [s]; without them it has not moved yet. Where the distance is zero the
+    direction is ``FALLBACK``.
     """
     points: Floats = np.asarray(positions, dtype=np.float64)
     frames = points.reshape(-1, *points.shape[-2:])
@@ -127,7 +129,7 @@ def focus_directions(
         for one in (frames, velocities)
     )
     towards = np.empty_like(place)
-    own, since = focus_table(roles, dt), np.asarray(steps, dtype=np.int64)
+    own, since = focus_table(roles, dt, course_time), np.asarray(steps, dtype=np.int64)
     _focus_frames(own, place, course, since, towards)
     return np.ascontiguousarray(towards.transpose(2, 0, 1)).reshape(points.shape)
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,9 @@ def residual(after: Value, before: Value, damping: float) -> Value:
 
 @dataclass(frozen=True)
 class Locomotion:
-    """Locomotion parameters of one individual.
+    """Locomotion parameters of one individual, whose actions are pushes.
+
+    :class:`animarl_envs.cells.CellLocomotion` is the other way to move.
 
     Parameters
     ----------
@@ -94,6 +96,8 @@ class Locomotion:
     damping: Probability
     thrust: Positive
     magnitudes: tuple[float, ...] = (1.0,)
+    course_time: ClassVar[float | None] = None
+    """Actions are in the frame of the course over so many seconds; None: in that of the focus."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -115,6 +119,11 @@ class Locomotion:
         return action_vectors(self.magnitudes)
 
     @property
+    def idle_action(self) -> int:
+        """The action that changes least: no acceleration."""
+        return self.num_actions - 1
+
+    @property
     def smallest_thrust(self) -> float:
         """Acceleration of the weakest push [arena unit / s^2]."""
         return self.thrust * self.magnitudes[-1]
@@ -128,6 +137,22 @@ class Locomotion:
         """Return a bound of the speed within ``steps``, from a speed of at most ``initial``."""
         reached = max(initial, self.terminal_speed(dt))
         return min(reached, initial + steps * self.thrust * self.magnitudes[0] * dt)
+
+    def chosen_by_action(self, velocity: NDArray[Any], after: NDArray[Any], dt: float) -> Floats:
+        """Return what the action of a step decides: the acceleration [arena unit / s^2].
+
+        Velocities before and after the step, and the result, are ``(..., 2)`` in one frame.
+        """
+        return residual(after, velocity, self.damping) / dt
+
+    def nearest_actions(self, chosen: Floats) -> NDArray[np.int8]:
+        """Return the actions nearest to accelerations ``(..., 2)`` in the frame of actions."""
+        error = np.linalg.norm(chosen[..., None, :] - self.thrust * self.action_vectors, axis=-1)
+        return np.asarray(np.argmin(error, axis=-1), dtype=np.int8)
+
+    def velocity_after(self, velocity: NDArray[Any], vectors: Floats, dt: float) -> Floats:
+        """Return velocities after steps with ``vectors``, multiples of the thrust, in one frame."""
+        return next_velocity(velocity, vectors, self.damping, self.thrust, dt)
 
 
 def _checked_magnitudes(given: Sequence[float]) -> tuple[float, ...]:
@@ -205,6 +230,7 @@ def infer_actions(
 
     The observed acceleration is ``(v_{t+1} - (1 - d) v_t) / dt``; it is compared, in the egocentric
     frame, with the 12 M + 1 vectors ``u a``, zero included. Ties go to the lower action number.
+    Of cells it is the cell that holds the next velocity, and ``focus`` is the course.
 
     Parameters
     ----------
@@ -217,14 +243,10 @@ def infer_actions(
     -------
     ``(...,)`` int8, 0 to 12 M.
     """
-    acceleration = residual(next_velocity, velocity, locomotion.damping) / dt
-    ahead = np.sum(acceleration * focus, axis=-1)
-    left = acceleration[..., 1] * focus[..., 0] - acceleration[..., 0] * focus[..., 1]
-    egocentric = np.stack([ahead, left], axis=-1)
-    error = np.linalg.norm(
-        egocentric[..., None, :] - locomotion.thrust * locomotion.action_vectors, axis=-1
-    )
-    return np.asarray(np.argmin(error, axis=-1), dtype=np.int8)
+    chosen = locomotion.chosen_by_action(velocity, next_velocity, dt)
+    ahead = np.sum(chosen * focus, axis=-1)
+    left = chosen[..., 1] * focus[..., 0] - chosen[..., 0] * focus[..., 1]
+    return locomotion.nearest_actions(np.stack([ahead, left], axis=-1))
 
 
 def apply_actions(
@@ -240,8 +262,8 @@ def apply_actions(
     """
     ahead, left = np.moveaxis(locomotion.action_vectors[actions], -1, 0)
     x, y = np.moveaxis(focus, -1, 0)
-    acceleration = np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)
-    return next_velocity(velocity, acceleration, locomotion.damping, locomotion.thrust, dt)
+    vectors = np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)
+    return locomotion.velocity_after(velocity, vectors, dt)
 
 
 def shorter_turn(end: NDArray[Any], start: NDArray[Any]) -> Floats:

@@ -32,6 +32,7 @@ Demos = Demonstrations | str | Path | None
 PACKAGED = "packaged"
 
 ACTION, REPLAY, SCRIPTED, COASTING = 0, 1, 2, 3
+SCALES_OF_CELLS = 3  # thrust magnitudes, whose smallest is the scale of observed velocities
 DRIVERS = {"action": ACTION, "replay": REPLAY, "scripted": SCRIPTED, "coast": COASTING}
 """Who moves an individual: the caller's action, its demonstration, a rule, or nobody."""
 
@@ -187,7 +188,7 @@ def make_scenario(
         species, start = task.species, task.start if start is None else start
     given = None if isinstance(species, str) and species_name(species) == CUSTOM else species
     spec = get_species(given) if isinstance(given, str) else given
-    loaded = _load_demos(demos, spec)
+    loaded, cells = _load_demos(demos, spec), options.pop("cells", None)
     if loaded is not None and spec is not None:
         refuse_other_species(loaded, spec.name)
     follows = start is None or (isinstance(start, str) and start == "demo")
@@ -206,6 +207,8 @@ def make_scenario(
         loaded = first_of_role(loaded, key, options.pop(key))
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
+        if cells is not None:
+            options.setdefault("thrusts", SCALES_OF_CELLS)
         spec = _recorded_species(loaded, options)
     if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
         options.setdefault("dt", loaded.dt)
@@ -216,6 +219,10 @@ def make_scenario(
             options.setdefault("free", True)
     with also_list_options_of(make_scenario):
         spec = with_options(spec, **options)
+    if cells is not None:
+        from animarl_envs.fitting.cells import species_with_cells
+
+        spec = species_with_cells(spec, loaded, cells)
     selected = loaded
     if loaded is not None and split is not None:
         selected = loaded.select(split=split)

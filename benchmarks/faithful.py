@@ -29,6 +29,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -314,6 +315,7 @@ def trained(
     split: str,
     repetitions: int,
     cloning: str = CHOSEN,
+    overrides: Mapping[str, Any] | None = None,
 ) -> tuple[Rollouts, Rollouts, list[NDArray[np.float64]]]:
     """Fit, train, roll out from the starts of a split.
 
@@ -322,7 +324,8 @@ def trained(
     species = demos.species if demos.species in SPECIES else CUSTOM
     asked = RunSettings(
         file=demos.name, species=species, algo=algo, steps=1, seed=seed, baselines=False,
-        cloning=cloning, **pipeline_settings(environment_id(species), "default"),
+        cloning=cloning, overrides=dict(overrides or {}),
+        **pipeline_settings(environment_id(species), "default"),
     )  # fmt: skip
     preset = asked.learner()
     asked = asked.changed(steps=preset.n_timesteps, copies=preset.n_envs)
@@ -369,7 +372,14 @@ class Judged:
 
 
 def judged(
-    one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int, cloning: str = CHOSEN
+    one: DataSet,
+    out: Path,
+    algo: str,
+    seed: int,
+    split: str,
+    rollouts: int,
+    cloning: str = CHOSEN,
+    overrides: Mapping[str, Any] | None = None,
 ) -> Judged:
     """Train a cell, roll it out and judge it."""
     began = time.process_time()
@@ -380,10 +390,11 @@ def judged(
     repetitions = max(2, math.ceil(rollouts / starts))  # of each start, in whichever fold
     for number, fold in enumerate(folds):
         clone = algo if cloning == CHOSEN else f"{algo}-{cloning}"
+        clone += re.sub(r"\W+", "-", str(overrides)).rstrip("-") if overrides else ""
         folder = out / "runs" / f"{one.label}-{clone}-{seed}-{number}"
         whole &= not folder.exists()
         index = np.flatnonzero(fold.split == split)
-        *both, paths = trained(fold, folder, algo, seed, split, repetitions, cloning)
+        *both, paths = trained(fold, folder, algo, seed, split, repetitions, cloning, overrides)
         parts.append([replace(r, demo=index[r.demo]) for r in both])
         followed |= dict(zip(index.tolist(), paths, strict=True))
         used.append(index)

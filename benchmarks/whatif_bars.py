@@ -16,6 +16,7 @@ from sklearn.preprocessing import StandardScaler
 from animarl_algos.whatif.extrapolation import Caution
 
 RECORDED = "recorded-agents"
+LEVEL, FEWEST = 0.9, 5  # of rows that are covered; rows to find a factor by
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -135,6 +136,43 @@ def held_out_rules(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
+def calibration(table: pd.DataFrame) -> pd.DataFrame:
+    """Return factors on margins by warning, and how often intervals hold the truth of a set.
+
+    A margin is ``hypot(margin, habit - knows)``; its factor, by warning, covers 90 % of the rows of
+    all other sets, every change counting alike, and is 1 at least. The row *all* has the factors of
+    all sets, and the coverage of each set by those of the others.
+    """
+    seen = table[table["miss_high"] - table["miss_low"] > 1e-12]
+    side = np.where(
+        seen["miss"] > 0, seen["miss"] - seen["miss_low"], seen["miss_high"] - seen["miss"]
+    ).clip(1e-12)
+    apart = (seen["other_reading"] - seen["predicted"]).abs().fillna(0)
+    score = seen["miss"].abs() / np.hypot(side, apart)
+    change = seen["set"] + "|" + seen["change"] + "|" + seen["reading"]
+
+    def factor(rows: pd.Series) -> float:
+        weight = 1.0 / change[rows].map(change[rows].value_counts())
+        order = np.argsort(score[rows].to_numpy())
+        share = np.cumsum(weight.to_numpy()[order]) / weight.sum()
+        place = min(int(np.searchsorted(share, LEVEL)), len(order) - 1)
+        return max(1.0, float(score[rows].to_numpy()[order][place]))
+
+    found, covered = [], pd.Series(False, index=seen.index)
+    for name in [*seen["set"].unique(), "all"]:
+        own = seen["set"] == name
+        line: dict[str, Any] = {"set": name}
+        for warning in Caution:
+            of_warning = seen["warning"] == warning
+            others = of_warning & ~own
+            line[str(warning)] = factor(others) if others.sum() > FEWEST else np.nan
+            covered |= own & of_warning & (score <= line[str(warning)])
+        rows = own if own.any() else pd.Series(True, index=seen.index)
+        raw = seen["covered"].astype(bool)[rows].mean()
+        found.append(line | {"raw": raw, "calibrated": covered[rows].mean()})
+    return pd.DataFrame(found)
+
+
 def warned(table: pd.DataFrame) -> str:
     """Return in words how often wrong and right answers were warned of, by change."""
     changes = table.groupby(["set", "change", "reading"]).agg(
@@ -190,4 +228,13 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
         lines += ["| rule | of wrong rows of the set left out | of others |", "|---|---|---|"]
         lines += [f"| {row.rule} | {row[2]:.0%} | {row[3]:.0%} |"
                   for row in held_out_rules(table).itertuples()]  # fmt: skip
+        lines += ["", "Calibrated intervals, each set by the factors of the others:", ""]
+        lines += [*map(str.strip, str(calibration.__doc__).strip().splitlines()[2:]), ""]
+        lines += ["| set | no warning | some | red | covered, raw | covered, calibrated |"]
+        lines += ["|---|---|---|---|---|---|"]
+        lines += [
+            f"| {row.set} | {row.none:.2f} | {row.some:.2f} | {row.red:.2f} | {row.raw:.0%} | "
+            f"{row.calibrated:.0%} |"
+            for row in calibration(table).itertuples()
+        ]
     return "\n".join([*lines, ""])

@@ -66,7 +66,9 @@ from animarl_algos.whatif.quantities import quantities_of
 from animarl_algos.whatif.shifts import FALLS, RISES, judge, mean_over_starts, share_as_large
 from animarl_algos.whatif.truth import SimulatedTruth, TeamTruth, Truth, mean_by_start
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.joining import join
 from animarl_envs.demos.summary import unit_of
+from animarl_envs.importing.readers import load_readers, read
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, SearchSpecies, Species
 from animarl_envs.species.base import Reading
@@ -162,16 +164,21 @@ def trained_runs(name: str, seeds: list[int], cells: Path, settings: list[str]) 
             if name == LARVAE:
                 what = [str(halved_larvae(cells))]
             if name == RECORDED:
-                from benchmarks.counterfactual import recorded
-
                 what = [str(cells / f"{name}.npz")]
                 cells.mkdir(parents=True, exist_ok=True)
-                recorded().save(what[0])
+                recorded_agents().save(what[0])
             command = [*ANIMARL, "train", *what, "--seed", str(seed), "--out", str(folder)]
             command += [part for one in settings for part in ("--set", one)]
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         runs.append(load_run(folder))
     return runs
+
+
+def recorded_agents() -> Demonstrations:
+    """Return both conditions of the published agents, with the splits of their reader."""
+    load_readers(Path(__file__).with_name("paper_readers.py"))
+    files = sorted((DATA / "agents_collab_hunting").glob("episodes_*.npz"))
+    return join([read(file, "agents") for file in files], "recorded agents")
 
 
 def entered_run(name: str, method: str, seed: int) -> Run:

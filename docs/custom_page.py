@@ -17,7 +17,8 @@ CUSTOM_NUMBERS = [
     (
         "`locomotion`",
         "the joint fit to the training episodes, made once per content of the file; with "
-        "`thrusts=3` that of three magnitudes",
+        "`thrusts=3` that of three magnitudes; with `cells=64` actions are cells of the recorded "
+        "velocities instead of pushes",
     ),
     ("`time_limit`", "the longest episode, or what the import kept at most, if that is longer"),
     (

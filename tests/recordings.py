@@ -16,10 +16,11 @@ from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES, ChaseSpecies
 from animarl_envs.worlds import make_world
-from tools.packaged_data import demonstrations_of
+from tools.packaged_data import demonstrations_of, shoal
 
 CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
 SPLITS = ("train", "train", "train", "train", "val", "test")
+DT, STEPS = 0.1, 40  # of a group
 SYNTHETIC = {"source": "made by the test", "licence": "none", "synthetic": True}
 
 
@@ -145,4 +146,17 @@ def _walks(species: str, name: str, dt: float, episodes: int, size: float) -> De
         condition=np.arange(episodes) % 2, outcome=np.full(episodes, TIME_OUT),
         split=np.resize(["train", "val", "test"] if episodes == 3 else SPLITS, episodes),
         recording=np.array([f"run {e}" for e in range(episodes)]),
+    )  # fmt: skip
+
+
+def group(animals: int, episodes: int = 6, arena: str = "disc") -> Demonstrations:
+    """Synthetic shoals of the zonal model, by the test split and the others."""
+    law = shoal.ZonalLaw()
+    paths = shoal.simulate(law, episodes, animals, STEPS, np.random.default_rng(0)) / 10.0
+    field = Arena(arena, 1.0, 1.1, rebound=True) if arena != "open" else Arena("open", 1.0)
+    return episodes_along(
+        list(paths), species="custom", individuals=tuple(f"fish_{k}" for k in range(animals)),
+        initial_velocity=(paths[:, 1] - paths[:, 0]) / DT, roles=("pursuer",) * animals,
+        arena=field, outcome=np.full(episodes, UNFINISHED),
+        split=["train"] * (episodes - 2) + ["val", "test"],
     )  # fmt: skip

@@ -33,9 +33,10 @@ SEEN_SELDOM = 200_000
 """Steps of a recorded individual of which each is seen fewer than six times in 30 epochs."""
 EXACTLY, FEW, ALMOST = "exact", "exact-few", "nearly-exact"
 RECURRENT, SEARCH, REMEMBERED = "recurrent", "search", "search-remembered"
+BY_CELLS = "cells"
 RECORDED, FEW_RECORDED, MANY_RECORDED = "recorded", "recorded-few", "recorded-many"
 CLONINGS = (
-    *(EXACTLY, FEW, ALMOST, RECURRENT, RECORDED, FEW_RECORDED, MANY_RECORDED),
+    *(EXACTLY, FEW, ALMOST, RECURRENT, BY_CELLS, RECORDED, FEW_RECORDED, MANY_RECORDED),
     *(SEARCH, REMEMBERED),
 )
 """Their names."""

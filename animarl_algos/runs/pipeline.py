@@ -37,13 +37,16 @@ from animarl_algos.runs import run_set
 from animarl_algos.runs.evaluating import EvaluatedRuns, acted_by, report_inputs, roll_out
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
+from animarl_algos.runs.run_world import CELLS
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits, run_folds
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
-from animarl_envs.scenario import PACKAGED, make_scenario
+from animarl_envs.scenario import PACKAGED, SCALES_OF_CELLS, make_scenario
+
+ACTING_BY_CELLS = "boltzmann:1"
 
 
 def open_run(
@@ -71,10 +74,14 @@ def open_run(
 def with_recipe(settings: RunSettings, demos: Demonstrations) -> tuple[RunSettings, dict[str, str]]:
     """Return the settings with the recipe of the clone, and why it was chosen, if it was."""
     checked_species(settings, demos)
-    if settings.cloning != CHOSEN or not settings.clones:
-        return settings, {}
-    name, reason = choose_recipe(demos)
-    return settings.changed(cloning=name), {"cloning": reason}
+    reasons = {}
+    if settings.cloning == CHOSEN and settings.clones:
+        name, reasons["cloning"] = choose_recipe(demos)
+        settings = settings.changed(cloning=name)
+    if settings.acting == CHOSEN and settings.learner().env_kwargs.get(CELLS):
+        settings = settings.changed(acting=ACTING_BY_CELLS)
+        reasons["acting"] = "cells are drawn as often as the clone expects them"
+    return settings, reasons
 
 
 def check_run(settings: RunSettings, demos: Demonstrations) -> None:
@@ -118,8 +125,11 @@ def fit(run: Run) -> LocomotionFit:
         if file.exists():
             return run.fit
         demos, method, thrusts = run.learnable_demos, settings.fit_method, 1
+        cells = run.environment_options.get(CELLS) or 0
         if settings.thrusts != AUTO:
             thrusts = int(settings.thrusts)
+        elif cells:
+            thrusts = SCALES_OF_CELLS if method == "joint" else 1
         elif method == "joint":
             thrusts = choose_thrusts(demos, seed=settings.seed)[0]
         world = make_scenario(settings.species, demos=demos) if method == "species" else None
@@ -129,6 +139,7 @@ def fit(run: Run) -> LocomotionFit:
             seed=settings.seed,
             thrusts=thrusts,
             known=() if world is None else world.species.locomotion,
+            cells=cells,
         )
         result.save(file)
         return result

@@ -75,8 +75,8 @@ class RunSettings(PipelineSettings):
     device: str = "cpu"
     """cpu (default) or cuda."""
     cloning: str = CHOSEN
-    """Recipe of the clone: exact, exact-few, nearly-exact, recurrent, recorded, recorded-few,
-    recorded-many, search, search-remembered, or chosen (by the demonstrations;
+    """Recipe of the clone: exact, exact-few, nearly-exact, recurrent, cells, recorded,
+    recorded-few, recorded-many, search, search-remembered, or chosen (by the demonstrations;
     zoo_configs/cloning.yml)."""
     repetitions: Copies = 5
     """Rollouts per test demonstration."""

@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from animarl_algos.data.vec_env import OWN_OPTIONS, SCENARIO_OPTIONS
+from animarl_envs.cells import CellLocomotion
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError
@@ -18,6 +19,7 @@ from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
 from animarl_envs.worlds import observation_components
 
+CELLS = "cells"
 SENSES = ("observation_noise", "observation_delay")
 CHANGES_INPUTS = (
     "num_pursuers",
@@ -42,7 +44,7 @@ def select_individuals(demos: Demonstrations, options: Mapping[str, Any]) -> Dem
 
 def species_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that change the species, after :func:`select_individuals`."""
-    others = (*SCENARIO_OPTIONS, *OWN_OPTIONS, *COUNTS)
+    others = (*SCENARIO_OPTIONS, *OWN_OPTIONS, *COUNTS, CELLS)  # cells are in the fit
     return {key: value for key, value in options.items() if key not in others}
 
 
@@ -72,7 +74,9 @@ def world_in_words(species: Species) -> dict[str, str]:
         if species.mirror_symmetric
         else "not used: left and right are not alike in the recordings",
     } | {
-        f"locomotion of {name}": f"d {motion.damping:.4g}, u {motion.thrust:.4g}, thrusts "
+        f"locomotion of {name}": f"{motion.num_actions} cells of recorded velocities"
+        if isinstance(motion, CellLocomotion)
+        else f"d {motion.damping:.4g}, u {motion.thrust:.4g}, thrusts "
         + ", ".join(f"{m:g}" for m in motion.magnitudes)
         for name, motion in zip(species.individuals, species.locomotion)
     }

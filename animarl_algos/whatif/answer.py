@@ -30,10 +30,12 @@ from animarl_algos.whatif.quantities import (
 from animarl_algos.whatif.shifts import (
     FALLS,
     RISES,
+    calibrated,
     chance_error,
     judge,
     mean_over_starts,
     share_as_large,
+    widen_shift_of_share,
 )
 from animarl_algos.whatif.thrust_search import LIMITS, ThrustSearch
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
@@ -47,6 +49,7 @@ from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
 
 REPETITIONS = 5
+SHARE = "share"  # the unit of quantities that each episode has or not
 MOST_TRIES = 24  # of the thrusts for wanted speeds
 TRY_REPETITIONS = 2
 
@@ -100,6 +103,8 @@ class Answer:
         ``beyond`` the share of steps more than usual with inputs that training did not have.
         ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
         and ``p`` how often these move any quantity as far.
+        ``calibrated_low`` to ``calibrated_high`` is the interval as wide as such answers have been
+        wrong (:func:`~animarl_algos.whatif.shifts.calibrated`).
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
         falls. Where the truth is known, ``true, true_low, true_high`` are the true shift, and
         ``miss, miss_low, miss_high`` the predicted minus the true one.
@@ -366,6 +371,8 @@ class _Comparison:
         )
         cue = scenario.condition is not None and not self.species.condition_is_sensed
         table["judged"] = [judge(row, of_a_cue=cue) for row in table.to_dict("records")]
+        wide = [calibrated(row) for row in table.to_dict("records")]
+        table[["calibrated_low", "calibrated_high"]] = wide
         table["finding"] = table["judged"].isin((RISES, FALLS))
         species = change_world(self.species, **options)
         if scenario.removed:
@@ -482,6 +489,10 @@ class _Comparison:
             measure = measures[quantity.name].values
             before, after = quantity.values(self.baseline), measure(changed)
             shift = self._mean(after - before, changed.demo, counts)
+            if quantity.unit == SHARE:
+                shift = widen_shift_of_share(
+                    shift, before, after, changed.demo, test=self.test, counts=counts
+                )
             further = float("nan")
             if other is not None:
                 further = self._mean(measure(other) - before, other.demo, counts).estimate

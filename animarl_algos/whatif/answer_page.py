@@ -45,7 +45,9 @@ GUESS = "This answer is a guess."
 WARNINGS = (
     f"A warning is some above {YELLOW:.0%} and red above {RED:.0%} more steps than in the "
     "unchanged world in which an individual perceives what lies beyond the central 99.8 % of its "
-    "training inputs. No warning is no guarantee."
+    "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
+    "answers were wrong in worlds with a known truth: it grows with the warning, and with the "
+    "difference between habit and knowledge of a changed body."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
 SMALLEST_SHIFT = 1e-9  # on an axis; a smaller one is of rounding errors
@@ -226,6 +228,7 @@ def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") 
             "Shift [95 % interval]": lambda row: with_interval(
                 scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))
             ),
+            "Calibrated": lambda row: interval_text(row, "calibrated"),
             **(_truth_columns() if "true" in answers[0].table else {}),
             "Shift is": lambda row: (
                 row["judged"] + (f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else "")
@@ -236,6 +239,12 @@ def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") 
         faint=lambda row: not row["finding"],
         hatched=lambda row: row["warning"] == Caution.RED,
     )
+
+
+def interval_text(row: pd.Series, name: str) -> str:
+    """Return an interval of a row's quantity without its middle, ``[1.01, 1.46]``."""
+    ends = [_factor(row) * row[f"{name}_{end}"] for end in ("low", "high")]
+    return with_interval(Interval(sum(ends) / 2, *ends)).partition(" ")[2]
 
 
 def unchanged_table(table: pd.DataFrame) -> page.Table:

@@ -10,6 +10,7 @@ import numpy as np
 
 from animarl_algos.whatif.absent import can_remove
 from animarl_envs.array_types import Floats
+from animarl_envs.cells import CellLocomotion
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
@@ -239,6 +240,8 @@ def parse_change(text: str, species: Species) -> list[Change]:
     if name not in named:
         raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
     individuals, what = named[name]
+    if isinstance(species.locomotion[0], CellLocomotion):
+        what = _body_of_cells(what, value, text)
     if what in (CONDITION, PLUME, REMOVE, START):
         chosen = _choice(what, value, species, text)
         return [Change((chosen,) if what == REMOVE else individuals, what, chosen, text)]
@@ -254,6 +257,21 @@ def parse_change(text: str, species: Species) -> list[Change]:
     points = np.linspace(first.value, last.value, number).tolist()
     amounts = [replace(first, value=point) for point in points]
     return [Change(individuals, what, one, f"{name}={_format_amount(one)}") for one in amounts]
+
+
+def _body_of_cells(what: str, value: str, text: str) -> str:
+    """Return what is changed in an animal that moves by cells: its thrust scales every step."""
+    if what in ("thrust", "damping"):
+        raise InputError(
+            f"{text!r}: {what} belongs to pushes, and these animals move by cells of recorded "
+            "velocities: change their speed"
+        )
+    if what == "speed" and not ("x" in value or "%" in value):
+        raise InputError(
+            f"{text!r}: the speed of animals that move by cells is changed by a factor on each "
+            "step: give x1.2 or +20%"
+        )
+    return "thrust" if what == "speed" else what
 
 
 def known(species: Species) -> str:

@@ -35,6 +35,7 @@ from animarl_algos.whatif.quantities import (
     quantities_of,
     resolve_measures,
 )
+from animarl_envs.cells import CellLocomotion
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
@@ -170,6 +171,11 @@ def _unsupported(scenario: Scenario) -> Iterator[str]:
         )
     if scenario.observation_noise or scenario.observation_delay:
         yield f"the senses of this run are noisy or late, which a page does not simulate: {instead}"
+    if isinstance(species.locomotion[0], CellLocomotion):
+        yield (
+            "the animals of this run move by cells of recorded velocities, which a page does not "
+            f"simulate: train with --cloning recurrent, or {instead}"
+        )
     if isinstance(species, ChaseSpecies) and species.has_headings:
         yield (
             "the individuals of this run have headings of their own, which a page does not "

@@ -1,11 +1,13 @@
 """Shifts of what-if answers: their means over starts, their null, and what may be said of them."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
+from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells, share_margins
 from animarl_algos.whatif.extrapolation import Caution
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -13,6 +15,9 @@ from animarl_envs.demos.demonstrations import Demonstrations
 NORMAL_95 = 1.96
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
+CALIBRATION = {Caution.NONE: 1.0, Caution.SOME: 1.03, Caution.RED: 1.67}
+"""Factors on the margins of :func:`calibrated`, by warning: with them 90 % of the shifts in worlds
+with a known truth were covered (docs/results/whatif)."""
 NO_INTERVAL = "one test start: no interval"
 
 
@@ -35,6 +40,18 @@ def judge(row: Mapping[Any, Any], of_a_cue: bool) -> str:
     if row["p"] > CUE_LEVEL:
         return "as by chance"
     return RISES if row["shift"] > 0 else FALLS
+
+
+def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
+    """Return ``low`` and ``high`` of a shift, widened as much as such answers have been wrong.
+
+    By how much both readings of a changed body differ, and by the warning.
+    """
+    apart = row["other_reading"] - row["shift"]
+    apart = float(apart) if np.isfinite(apart) else 0.0
+    factor = CALIBRATION[Caution(row["warning"])]
+    below, above = (factor * math.hypot(row["shift"] - row[end], apart) for end in ("low", "high"))
+    return row["shift"] - below, row["shift"] + above
 
 
 def share_as_large(shifts: Floats, null: Floats) -> Floats:
@@ -75,9 +92,7 @@ def mean_over_starts(
     test
         The starts; those that were cut from one recording are one unit.
     """
-    _, recording = np.unique(test.recording, return_inverse=True)
-    if len(np.unique(recording[demo[counts]])) < 2:
-        recording = np.arange(len(test))
+    recording = _units(demo, test, counts)
     seed = np.repeat(np.arange(runs), len(values) // runs)
     data = cells(values, seed, recording[demo], int(recording.max()) + 1, counts)
     return bootstrap_mean(data, rng)
@@ -104,3 +119,46 @@ def chance_error(values: Floats, start: Ints, counts: Bools) -> float:
     spread = np.bincount(place, apart**2)[several] / (number[several] - 1)
     within = np.average(spread, weights=number[several])
     return float(NORMAL_95 * np.sqrt(within / len(values)))
+
+
+def widen_shift_of_share(
+    shift: Interval,
+    before: Floats,
+    after: Floats,
+    demo: Ints,
+    *,
+    test: Demonstrations,
+    counts: Bools,
+) -> Interval:
+    """Return the shift of a share with an interval at least as wide as Newcombe's for pairs.
+
+    Resamples of starts that all do the same have no width, though ten starts cannot show that none
+    in a hundred does otherwise. (Newcombe 1998, Stat. Med. 17, 2635, method 10, with the margins of
+    :func:`~animarl_algos.evaluation.statistics.share_margins` over recordings.)
+    """
+    counts = counts & np.isfinite(before) & np.isfinite(after)
+    place = _units(demo, test, counts)[demo[counts]]
+    number = np.bincount(place)
+    was, now = (
+        np.bincount(place, values[counts])[number > 0] / number[number > 0]
+        for values in (before, after)
+    )
+    if len(was) < 2:
+        return shift
+    below_was, above_was = share_margins(float(was.mean()), was)
+    below_now, above_now = share_margins(float(now.mean()), now)
+    together = float(np.corrcoef(was, now)[0, 1]) if was.std() > 0 < now.std() else 0.0
+
+    def joined(one: float, other: float) -> float:
+        return math.sqrt(max(0.0, one**2 - 2.0 * together * one * other + other**2))
+
+    low = shift.estimate - joined(below_now, above_was)
+    high = shift.estimate + joined(above_now, below_was)
+    return replace(shift, low=min(shift.low, low), high=max(shift.high, high))
+
+
+def _units(demo: Ints, test: Demonstrations, counts: Bools) -> Ints:
+    """Return the recording of each start; the start itself if all that count are of one."""
+    _, recording = np.unique(test.recording, return_inverse=True)
+    single = len(np.unique(recording[demo[counts]])) < 2
+    return np.arange(len(test)) if single else recording

@@ -89,7 +89,7 @@ def species_of(
         own["turning"] = fitted_turning(demos)
         if shows_odour(demos):
             own["senses_past"] = True
-            own["plume"] = _fitted_once(fit_odour, demos, 0)
+            own["plume"] = fitted_once(fit_odour, demos, 0)
             own["traits"] = fitted_traits(demos)
     elif demos.headings() is not None:
         turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
@@ -145,7 +145,7 @@ def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomoti
     from animarl_envs.fitting.joint import joint_locomotion
 
     check_thrusts(thrusts)  # before it is looked up: True would be found as 1, a list not at all
-    fit: tuple[Locomotion, ...] = _fitted_once(joint_locomotion, demos, thrusts)
+    fit: tuple[Locomotion, ...] = fitted_once(joint_locomotion, demos, thrusts)
     return fit
 
 
@@ -154,7 +154,7 @@ def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None
 
     ``None`` where its body points where it walks, or no headings are recorded.
     """
-    turning: Turning | None = _fitted_once(fit_turning, demos, individual)
+    turning: Turning | None = fitted_once(fit_turning, demos, individual)
     return turning
 
 
@@ -210,7 +210,8 @@ def _sine(first: Floats, second: Floats) -> Floats:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:
+def fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:
+    """Return ``fit`` of the training episodes, made once per content, number and process."""
     key = fit.__name__, demos.fingerprint(), number
     if key not in _FITS:
         _FITS[key] = fit(training_episodes(demos), number)

@@ -17,6 +17,7 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import tracking_noise
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_json
+from animarl_envs.fitting.cells import RecordedCells, cells_of_recordings, with_cells
 from animarl_envs.fitting.joint import bootstrap_joint, fast_speed, fit_joint, joint_locomotion
 from animarl_envs.fitting.transitions import (
     bootstrap_onset,
@@ -86,17 +87,22 @@ class LocomotionFit:
     bootstrap: int
     seed: int
     fingerprint: str  # of the demonstrations
+    cells: tuple[RecordedCells, ...] = ()  # of each individual, or one of all; none where they push
 
     @property
     def locomotion(self) -> tuple[Locomotion, ...]:
         """Parameters for a species spec, one per individual."""
-        return tuple(fit.locomotion for fit in self.individuals)
+        own = tuple(fit.locomotion for fit in self.individuals)
+        return with_cells(own, self.cells) if self.cells else own
 
     def save(self, path: str | Path) -> Path:
         """Write JSON."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(asdict(self), indent=2) + "\n")
+        record = asdict(self)
+        if not self.cells:  # files of pushes stay as they were
+            del record["cells"]
+        path.write_text(json.dumps(record, indent=2) + "\n")
         return path
 
     @classmethod
@@ -109,7 +115,8 @@ class LocomotionFit:
                 fit.pop("tracking_noise", None)  # of files that an earlier version wrote
                 known: Any = {k: tuple(v) if isinstance(v, list) else v for k, v in fit.items()}
                 individuals.append(IndividualFit(**known))
-            return cls(**record | {"individuals": tuple(individuals)})
+            cells = tuple(RecordedCells(**each) for each in record.get("cells", ()))
+            return cls(**record | {"individuals": tuple(individuals), "cells": cells})
         except FileNotFoundError:
             raise InputError(f"{path}: there is no such file: check the path") from None
         except (ValueError, TypeError, KeyError, IndexError) as error:
@@ -128,6 +135,7 @@ def fit_locomotion(
     bootstrap: int = BOOTSTRAP,
     seed: int = 0,
     known: Sequence[Locomotion] = (),
+    cells: int = 0,
 ) -> LocomotionFit:
     """Fit damping, thrust and its magnitudes of every individual.
 
@@ -154,6 +162,8 @@ def fit_locomotion(
         Seed of the resampling.
     known
         Parameters of each individual, for method ``"species"``.
+    cells
+        So many cells for actions (:mod:`animarl_envs.cells`); 0: pushes.
     """
     if method not in get_args(Method):
         raise InputError(f"method {method!r} is unknown: choose joint, onset or species")
@@ -223,6 +233,7 @@ def fit_locomotion(
         bootstrap=bootstrap,
         seed=seed,
         fingerprint=demos.fingerprint(),
+        cells=cells_of_recordings(demos, cells) if cells else (),
     )
 
 
@@ -288,6 +299,8 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     for i, one in enumerate(fits_by_kind(fit, demos)):
         if one.top_speed == 0:
             still.append(one.name)
+            continue
+        if fit.cells:  # nobody moves by the pushes
             continue
         if one.terminal_speed > MAX_TERMINAL_SPEED * one.top_speed:
             fast.append(

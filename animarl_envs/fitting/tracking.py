@@ -13,13 +13,16 @@ import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES, Arena
 from animarl_envs.array_types import Floats, Ints
+from animarl_envs.cells import COURSE_TIME, CellLocomotion
 from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.transitions import step_frames
-from animarl_envs.focus import averaged, focus_direction, focus_directions, focus_table
+from animarl_envs.fitting.transitions import action_frames, step_frames
+from animarl_envs.focus import averaged, focus_direction, focus_table, share_of
 from animarl_envs.kinematics import next_velocity, rebound
-from animarl_envs.locomotion import Locomotion, apply_actions
+from animarl_envs.locomotion import Locomotion, apply_actions, infer_actions
+
+CELL_HORIZON = 10.0  # steps within which a miss is corrected by cells: faster would be jitter
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,9 @@ def track(
     (ties: the lower number); focus directions are those of the simulated positions. Walls of the
     ``arena`` hold, by default those of ``demos``, if it has ``rebound``. ``horizon`` is h, the
     number of steps within which a miss of the position is corrected. 1 stays nearest; but each
-    correction is a push and then one back, so a larger h keeps pushes smooth.
+    correction is a push and then one back, so a larger h keeps pushes smooth. Of cells it is
+    ``CELL_HORIZON`` steps at least: each takes the cell of the velocity that minimises the same
+    sum, and draws a recorded velocity of it.
 
     Raises InputError if there are not K sets of parameters with equally many thrust magnitudes, or
     the horizon is below a step.
@@ -57,6 +62,8 @@ def track(
     if not horizon >= 1.0:
         raise InputError(f"horizon is {horizon}: give 1 step or more")
     arena = demos.arena if arena is None else arena
+    if isinstance(locomotion[0], CellLocomotion):
+        return _track_by_cells(demos, locomotion, arena, horizon)
     field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
     recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
     starts = demos.offsets.astype(np.int64)
@@ -93,6 +100,46 @@ def track(
     return Tracking(paths, speeds, actions)
 
 
+def _track_by_cells(
+    demos: Demonstrations, locomotion: Sequence[Locomotion], arena: Arena, horizon: float
+) -> Tracking:
+    """Return :func:`track` of individuals whose actions are cells; draws are seeded with 0."""
+    rng, dt = np.random.default_rng(0), demos.dt
+    field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
+    recorded, recorded_velocity = demos.positions, demos.velocities()
+    paths, speeds = recorded.copy(), recorded_velocity.copy()
+    actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
+    share, weight = share_of(COURSE_TIME, dt), 1.0 / max(horizon, CELL_HORIZON) ** 2
+    course = speeds[demos.offsets[:-1]]
+    for t in range(int(demos.lengths.max()) - 1):
+        going = np.flatnonzero(demos.lengths > t + 1)
+        now = demos.offsets[going] + t
+        wanted = recorded_velocity[now + 1]
+        wanted = wanted * (1.0 - weight / (1.0 + weight))
+        wanted += weight / (1.0 + weight) * (recorded[now + 1] - paths[now]) / dt
+        position, velocity = np.empty_like(wanted), np.empty_like(wanted)
+        for i, own in enumerate(locomotion):
+            assert isinstance(own, CellLocomotion)
+            length = np.linalg.norm(course[going, i], axis=1, keepdims=True)
+            ahead = np.where(
+                length > 0.0, course[going, i] / np.maximum(length, 1e-300), [1.0, 0.0]
+            )
+            cell = infer_actions(speeds[now, i], wanted[:, i], ahead, own, dt)
+            drawn = own.drawn_steps[cell, rng.integers(own.drawn_steps.shape[1], size=len(cell))]
+            x, y = ahead[:, 0], ahead[:, 1]
+            velocity[:, i, 0] = own.thrust * (drawn[:, 0] * x - drawn[:, 1] * y)
+            velocity[:, i, 1] = own.thrust * (drawn[:, 0] * y + drawn[:, 1] * x)
+            actions[now, i] = cell
+        position = paths[now] + velocity * dt
+        if arena.rebound:
+            held = [np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (position, velocity)]
+            rebound(field, *held)
+            position, velocity = (each.transpose(2, 0, 1) for each in held)
+        paths[now + 1], speeds[now + 1] = position, velocity
+        course[going] += max(share, 1.0 / (2.0 + t)) * (velocity - course[going])
+    return Tracking(paths, speeds, actions)
+
+
 def one_step_misses(
     demos: Demonstrations, locomotion: Sequence[Locomotion], tracking: Tracking | None = None
 ) -> Floats:
@@ -108,7 +155,7 @@ def one_step_misses(
     recorded, recorded_velocity = demos.positions, demos.velocities()
     positions = recorded if tracking is None else tracking.positions
     velocities = recorded_velocity if tracking is None else tracking.velocities
-    focus = focus_directions(positions, demos.roles, velocities, demos.steps(), dt)
+    focus = action_frames(demos, locomotion[0].course_time, positions, velocities)
     misses = np.zeros((*positions.shape[:2], locomotion[0].num_actions))
     for i, own in enumerate(locomotion):
         for action in range(own.num_actions):

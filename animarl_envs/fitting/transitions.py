@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import Locomotion, apply_actions, infer_actions
 
 
@@ -89,13 +90,33 @@ def demonstrated_actions(
             f"{demos.name}: {len(locomotion)} sets of locomotion parameters for "
             f"{demos.num_individuals} individuals: give one each"
         )
-    steps, velocity, focus = step_frames(demos), demos.velocities(), demos.focus()
+    steps, velocity = step_frames(demos), demos.velocities()
+    focus = action_frames(demos, locomotion[0].course_time)
     actions = np.full(velocity.shape[:2], -1, dtype=np.int8)
     for i, own in enumerate(locomotion):
         actions[steps, i] = infer_actions(
             velocity[steps, i], velocity[steps + 1, i], focus[steps, i], own, demos.dt
         )
     return actions
+
+
+def action_frames(
+    demos: Demonstrations,
+    course_time: float | None,
+    positions: Floats | None = None,
+    velocities: Floats | None = None,
+) -> Floats:
+    """Return the x axes of the frames of actions, ``(frames, K, 2)`` unit vectors.
+
+    Those towards the focus or, with a ``course_time`` [s], along the course of each. ``positions``
+    and ``velocities`` are by default the recorded ones.
+    """
+    positions = demos.positions if positions is None else positions
+    velocities = demos.velocities() if velocities is None else velocities
+    if course_time is None:
+        return focus_directions(positions, demos.roles, velocities, demos.steps(), demos.dt)
+    everyone = ("pursuer",) * demos.num_individuals  # without a target each has its course
+    return focus_directions(positions, everyone, velocities, demos.steps(), demos.dt, course_time)
 
 
 def velocity_rmse(demos: Demonstrations, individual: int, locomotion: Locomotion) -> float:

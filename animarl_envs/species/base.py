@@ -84,6 +84,14 @@ class Species(ABC):
                 f"{len(self.locomotion)} sets of locomotion parameters for "
                 f"{len(self.individuals)} individuals: give one each"
             )
+        cells = {type(m) for m in self.locomotion} != {Locomotion}
+        if cells and (
+            self.world != "chase" or len({(type(m), m.num_actions) for m in self.locomotion}) > 1
+        ):
+            raise InputError(
+                f"{self.name}: cells are for animals that search no source, and all have the same "
+                "number of them: fit them with the option cells"
+            )
         counts = {
             name: m.thrusts for name, m in zip(self.individuals, self.locomotion, strict=True)
         }

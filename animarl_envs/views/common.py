@@ -296,6 +296,8 @@ def scenario_as_data(scenario: Scenario) -> dict[str, Any]:
     if isinstance(spec, SearchSpecies) and not isinstance(spec.plume, str):
         numbers["plume"] = {"kind": type(spec.plume).__name__} | numbers["plume"]
     del numbers["name"], numbers["version_history"]
+    for own in numbers["locomotion"]:
+        own.pop("steps", None)  # thousands of recorded velocities
     return numbers | {
         "species": spec.name,
         "drivers": list(scenario.drivers),

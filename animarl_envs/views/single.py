@@ -98,13 +98,13 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         They are w towards the focus, a left, s away, d right, others and pairs in between; space
         coasts (give it as ``noop`` too).
         """
-        vectors = self.scenario.species.locomotion[self.focal_index].action_vectors
+        own = self.scenario.species.locomotion[self.focal_index]
         angles = {key: np.deg2rad(degrees) for key, degrees in KEYS.items()}
         pushes = {
-            key: int(np.argmax(vectors @ [np.cos(angle), np.sin(angle)]))
+            key: int(np.argmax(own.action_vectors @ [np.cos(angle), np.sin(angle)]))
             for key, angle in angles.items()
         }
-        return pushes | {" ": self.world.num_actions - 1}
+        return pushes | {" ": own.idle_action}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

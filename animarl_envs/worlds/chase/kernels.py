@@ -24,7 +24,8 @@ from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import inline_kernel, inline_wrapper, jit
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound, residual
-from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
+from animarl_envs.scenario import ACTION, COASTING, REPLAY, SCRIPTED
+from animarl_envs.worlds.chase.cells import draw_step, follow_course
 from animarl_envs.worlds.chase.headings import turn_bodies
 from animarl_envs.worlds.chase.senses import observe, remember
 from animarl_envs.worlds.streams import next_below, next_uniform
@@ -99,15 +100,16 @@ ChaseState = namedtuple(
     "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty "
     "step_cost field walled lone free shoaling position velocity acceleration past towards bodies "
     "traits own_traits neighbours nearest code components reward observation senses "
-    "headed full",
+    "headed full cells",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
 are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
 ``driven``: some individual ignores the caller; ``sharing`` is the condition if condition 1 shares
 the reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and
 left; ``traits`` are those of training animals, ``own_traits`` those of the recorded episodes.
-``free``, ``headed`` (headings are a state) and ``full`` (more is observed than the compact
-observation) are None where a species has no such thing; what they need is then not compiled.
+``free``, ``headed`` (headings are a state), ``full`` (more is observed than the compact
+observation) and ``cells`` (:mod:`animarl_envs.worlds.chase.cells`) are None where a species has no
+such thing; what they need is then not compiled.
 """
 
 
@@ -160,7 +162,7 @@ def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
                 lone,
             )
         remember(velocity, step_count, state.senses, state.free, state.past)
-        move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
+        _move(state.cells, state)
         if state.walled:
             rebound(field, position, velocity)
         accelerate(velocity, damping, thrust, dt, acceleration)
@@ -178,6 +180,7 @@ def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
                 warming,
             )
         turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies, state.headed)
+        follow_course(state.cells, velocity, step_count)
         _end(state.free, state)
         for b in range(B):
             outcome[b] = code[b]
@@ -230,24 +233,77 @@ def drive(  # type: ignore[no-untyped-def]
             )
 
 
+@inline_wrapper
+def _move(cells, state):  # type: ignore[no-untyped-def]
+    if cells is None:
+        move(
+            state.actions,
+            state.towards,
+            state.damping,
+            state.thrust,
+            state.pushes,
+            state.dt,
+            state.position,
+            state.velocity,
+            state.acceleration,
+        )
+    else:
+        move_by_cells(cells, state)
+
+
 @inline_kernel
 def move(actions, towards, damping, thrust, pushes, dt, position, velocity, before):  # type: ignore[no-untyped-def]
     """Move all by v' = (1 - d) v + u a dt, then p' = p + v' dt; ``before`` gets the old v."""
-    K, _, B = position.shape
-    for i in range(K):
-        for b in range(B):
-            ahead = pushes[i, 0, actions[i, b]]
-            left = pushes[i, 1, actions[i, b]]
-            ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
-            ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
-            vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
-            vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
-            before[i, 0, b] = velocity[i, 0, b]
-            before[i, 1, b] = velocity[i, 1, b]
-            velocity[i, 0, b] = vx
-            velocity[i, 1, b] = vy
-            position[i, 0, b] += vx * dt
-            position[i, 1, b] += vy * dt
+    for i in range(position.shape[0]):
+        _push(i, actions, towards, damping, thrust, pushes, dt, position, velocity, before)
+
+
+@inline_kernel
+def _push(i, actions, towards, damping, thrust, pushes, dt, position, velocity, before):  # type: ignore[no-untyped-def]
+    for b in range(position.shape[2]):
+        ahead = pushes[i, 0, actions[i, b]]
+        left = pushes[i, 1, actions[i, b]]
+        ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
+        ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
+        vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
+        vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
+        before[i, 0, b] = velocity[i, 0, b]
+        before[i, 1, b] = velocity[i, 1, b]
+        velocity[i, 0, b] = vx
+        velocity[i, 1, b] = vy
+        position[i, 0, b] += vx * dt
+        position[i, 1, b] += vy * dt
+
+
+@inline_wrapper
+def move_by_cells(cells, state):  # type: ignore[no-untyped-def]
+    """Move individuals that the caller drives by velocities drawn from cells, others by pushes."""
+    for i in range(len(state.drivers)):
+        if state.drivers[i] == ACTION:
+            draw_step(
+                i,
+                state.actions,
+                state.random,
+                cells,
+                state.thrust[i],
+                state.dt,
+                state.position,
+                state.velocity,
+                state.acceleration,
+            )
+        else:
+            _push(
+                i,
+                state.actions,
+                state.towards,
+                state.damping,
+                state.thrust,
+                state.pushes,
+                state.dt,
+                state.position,
+                state.velocity,
+                state.acceleration,
+            )
 
 
 @inline_kernel

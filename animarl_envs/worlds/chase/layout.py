@@ -446,7 +446,8 @@ def ranges(
         for scale in (BODY * scales.arena_size, REACH * scales.arena_size)
     )
     push = HARDEST  # a thrust, a stop at a wall, or any if recorded [u]
-    if fastest <= 0.0 and species.sense_scales is None:
+    bounded = species.locomotion[0].course_time is None  # cells change a velocity at will
+    if bounded and fastest <= 0.0 and species.sense_scales is None:
         hardest = 0.0
         for own in species.locomotion:
             speed = own.top_speed(species.dt, limit) if arena.rebound else 0.0

@@ -19,12 +19,13 @@ from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.locomotion import residual
+from animarl_envs.locomotion import action_vectors, residual
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
+from animarl_envs.worlds.chase.cells import cells_of
 from animarl_envs.worlds.chase.headings import bodies_of, first_headings, recorded_bodies
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
 from animarl_envs.worlds.chase.layout import past_scales
@@ -59,6 +60,9 @@ class ChaseWorld(World):
     traits
         ``(B, K, 2)``, how individuals differ from the mean one, see
         :mod:`animarl_envs.species.traits` [sd].
+    course
+        ``(B, K, 2)``, mean velocity up to the present, whose frame cells are in; where there are
+        cells.
     """
 
     reward_components = ("touch", "elapsed", "boundary")
@@ -91,6 +95,10 @@ class ChaseWorld(World):
             self._state_names = (*self._state_names, "heading", "turn")
         if species.traits is not None:
             self._state_names = (*self._state_names, "traits")
+        self._cells = cells_of(species, B)
+        if self._cells is not None:
+            self.course = self._cells.course.transpose(2, 0, 1)
+            self._state_names = (*self._state_names, "course")
         arena, start = species.arena, scenario.start
         self._reference = by_reference(
             kernels.make_reference,
@@ -106,7 +114,10 @@ class ChaseWorld(World):
                 damping=np.array([m.damping for m in species.locomotion]),
                 thrust=np.array([m.thrust for m in species.locomotion]),
                 pushes=np.stack(
-                    [np.ascontiguousarray(m.action_vectors.T) for m in species.locomotion]
+                    [
+                        np.ascontiguousarray(action_vectors(m.magnitudes).T)
+                        for m in species.locomotion
+                    ]
                 ),
                 dt=species.dt,
                 penalty=species.boundary_penalty,
@@ -133,6 +144,7 @@ class ChaseWorld(World):
                 observation=self._sensed,
                 senses=self._senses,
                 full=full,
+                cells=self._cells,
             ),
         )
 
@@ -142,6 +154,8 @@ class ChaseWorld(World):
             senses.first_past(self._velocity, mask, self._past)
         if self._species.has_headings:
             self._wake(mask)
+        if self._cells is not None:
+            self.course[mask] = self.velocity[mask]
         self._look()
 
     def _look(self) -> None:

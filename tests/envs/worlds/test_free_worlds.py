@@ -5,35 +5,17 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from recordings import SYNTHETIC, begun, episodes_along
+from recordings import DT, STEPS, SYNTHETIC, begun, group
 from refusals import refuses
 
 import animarl_envs
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.fitting.joint import joint_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, observation_components
 from animarl_envs.worlds.chase.layout import DELAY, DELAYS
-from tools.packaged_data import shoal
-
-DT, STEPS = 0.1, 40
-
-
-def group(animals: int, episodes: int = 6, arena: str = "disc") -> Demonstrations:
-    """Synthetic shoals of the zonal model, by the test split and the others."""
-    law = shoal.ZonalLaw()
-    paths = shoal.simulate(law, episodes, animals, STEPS, np.random.default_rng(0)) / 10.0
-    field = Arena(arena, 1.0, 1.1, rebound=True) if arena != "open" else Arena("open", 1.0)
-    return episodes_along(
-        list(paths), species="custom", individuals=tuple(f"fish_{k}" for k in range(animals)),
-        initial_velocity=(paths[:, 1] - paths[:, 0]) / DT, roles=("pursuer",) * animals,
-        arena=field, outcome=np.full(episodes, UNFINISHED),
-        split=["train"] * (episodes - 2) + ["val", "test"],
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("animals", [1, 2, 7])

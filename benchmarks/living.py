@@ -1,0 +1,158 @@
+"""How alike are simulated and recorded living animals, by pushes and by cells? One table.
+
+    python benchmarks/living.py --quick
+    python benchmarks/living.py --seed 0 --seed 1 --seed 2 --out docs/results/living
+
+Every cell of the table is a set of recordings, a recipe of the clone and a seed: imported, fitted,
+trained and rolled out from the starts of the validation split as ``animarl run`` does, and judged
+by the verdict. Cross-entropy is no measure here, since recipes have other actions. The recordings
+lie in $ANIMARL_DATA (by default ../shared/data); sets that are not there are left out and named.
+Finished cells are kept under ``--out``.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import torch
+import typer
+from rich.console import Console
+
+from animarl_algos.evaluation import Verdict
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE
+from animarl_algos.evaluation.metrics import ORDER
+from benchmarks.faithful import DATA, DataSet, judged
+
+MEASURES = (
+    *(AUC, SEQUENCE, ORDER, "kinematic", "interactive", "mean_speed", "spread_of_mean_speed"),
+    *("turning", "slow_steps", "rests", "bouts", "duration", "nearest"),
+)
+"""Rows of the verdict that the table has, where the set has them."""
+RECIPES: dict[str, tuple[str, dict[str, Any]]] = {
+    "recorded": ("recorded", {}),
+    "recurrent": ("recurrent", {}),
+    "cells-64": ("cells", {"env_kwargs": {"cells": 64}}),
+    "cells-128": ("cells", {"env_kwargs": {"cells": 128}}),
+}
+"""Recipe of the clone and settings over it, by the name in the table."""
+FIRST = 40  # larvae of each condition
+ROLLOUTS, QUICK_ROLLOUTS, QUICK_EPOCHS = 120, 16, 2
+PAIRS = "termite_tandem/tracks_30fps_int16.npz --arena-width 145 --drop-jumps "
+
+
+@dataclass(frozen=True)
+class LivingSet(DataSet):
+    """Recordings of living animals."""
+
+    def load(self, folder: Path) -> Any:
+        """Return the demonstrations, imported at the first time; of larvae the first of each."""
+        if self.name != "larvae" or (folder / "larvae.npz").exists():
+            return super().load(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        files = []
+        for condition in ("fed", "deprived"):
+            source = DATA / "larvae_fed_deprived" / f"{condition}.csv.gz"
+            files.append(folder / f"larvae_{condition}.csv")
+            with gzip.open(source, "rt") as lines:
+                files[-1].write_text("".join(first_animals(lines, FIRST)))
+        named = " ".join(str(file.resolve()) for file in files[1:])
+        whole = replace(self, importing=f"{files[0].resolve()} {named} {self.importing}")
+        return DataSet.load(whole, folder)
+
+    def files(self) -> list[Path]:
+        """Return the recordings."""
+        return [DATA / "larvae_fed_deprived"] if self.name == "larvae" else super().files()
+
+
+SETS = (
+    LivingSet("larvae", (), "--target none --name-pattern '(?P<condition>fed|deprived)'"),
+    LivingSet(
+        "pairs",
+        (),
+        PAIRS + "--option kind=Cf --arena disc --decision-rate 10 --keep-last 120 --piece 30 "
+        "--target none",
+    ),
+    LivingSet(
+        "termites", (), PAIRS + "--option kind=Cf --farther-than 0.36786 --closer-than 0.12262"
+    ),
+    LivingSet(
+        "fish15",
+        (),
+        "fish_shoals/fish15.csv --fps 32 --target none --arena disc --decision-rate 16 "
+        "--max-gap 0.2 --piece 2",
+    ),
+)
+
+
+def first_animals(lines: Iterator[str], count: int) -> Iterator[str]:
+    """Yield the heading and the rows of the first animals, named in the first column."""
+    seen: set[str] = set()
+    yield from islice(lines, 1)
+    for line in lines:
+        name = line.partition(",")[0]
+        if name in seen or len(seen) < count:
+            seen.add(name)
+            yield line
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option(help="These sets; repeatable.")] = None,
+    recipe: Annotated[list[str] | None, typer.Option(help="These recipes; repeatable.")] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="Repeatable.")] = None,
+    quick: Annotated[bool, typer.Option(help="Larvae, two epochs, few rollouts.")] = False,
+    out: Annotated[Path, typer.Option(help="Where cells and the table go.")] = Path("out/living"),
+) -> None:
+    """Import, fit, train, roll out, and print one table."""
+    torch.set_num_threads(1)
+    console = Console(width=160)
+    names = ["larvae"] if quick else [one.name for one in SETS]
+    lines: list[dict[str, Any]] = []
+    for one in (each for each in SETS if each.name in (only or names)):
+        if not one.there:
+            console.print(f"{one.name}: its recordings are not in {DATA}: left out")
+            continue
+        for name in recipe or (["recurrent", "cells-128"] if quick else RECIPES):
+            cloning, overrides = RECIPES[name]
+            overrides = overrides | ({"offline_epochs": QUICK_EPOCHS} if quick else {})
+            for s in seed or [0]:
+                cell = out / "cells" / f"{one.name}-{name}-{s}{'-quick' * quick}"
+                if not (cell / "cell.json").exists():
+                    number = QUICK_ROLLOUTS if quick else ROLLOUTS
+                    judged(one, out, "soft-bc", s, "val", number, cloning, overrides).save(cell)
+                lines.append(row(cell) | {"set": one.name, "recipe": name, "seed": s})
+    table = pd.DataFrame(lines).set_index(["set", "recipe", "seed"]).reset_index()
+    table.to_csv(out / "living.csv", index=False)
+    console.print(table.to_markdown(index=False), soft_wrap=True, highlight=False, markup=False)
+
+
+def row(cell: Path) -> dict[str, Any]:
+    """Return the findings of a finished cell: recorded and simulated, areas with intervals."""
+    found, done = Verdict.load(cell), json.loads((cell / "cell.json").read_text())
+    made: dict[str, Any] = {}
+    for measure in MEASURES:
+        if measure not in set(found.table["measure"]):
+            continue
+        one = found.row(measure)
+        value = f"{one['simulated']:.3g}"
+        if measure in (AUC, SEQUENCE):
+            area = found.areas[measure]
+            value = " ".join(
+                f"{side} {area[side].estimate:.2f} [{area[side].low:.2f}, {area[side].high:.2f}]"
+                for side in ("simulated", "floor", "among")
+                if side in area
+            )
+        else:
+            value += f" (recorded {one['recorded']:.3g})"
+        made[measure] = value
+    return made | {"seconds": round(done["seconds"]), "commit": done["commit"]}
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,59 @@
+"""Intervals of the shifts of what-if answers."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from recordings import group
+
+from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.whatif.extrapolation import Caution
+from animarl_algos.whatif.shifts import CALIBRATION, calibrated, widen_shift_of_share
+from benchmarks.whatif_bars import calibration
+
+STARTS = 10
+DEMOS = group(1, STARTS)
+EVERY = np.ones(STARTS, dtype=bool)
+
+
+def widened(before: list[float], after: list[float], shift: Interval) -> Interval:
+    was, now = np.array(before), np.array(after)
+    demo = np.arange(STARTS)
+    return widen_shift_of_share(shift, was, now, demo, test=DEMOS, counts=EVERY)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0])
+def test_share_that_no_start_changes_has_a_width(value: float) -> None:
+    same = [value] * STARTS
+    found = widened(same, same, Interval(0.0, 0.0, 0.0))
+    edge = 2.2622**2 / (STARTS + 2.2622**2)  # Wilson's, with Student's t of ten starts
+    assert found.low == pytest.approx(-edge, abs=1e-4)
+    assert found.high == pytest.approx(edge, abs=1e-4)
+
+
+def test_share_of_newcombe_for_pairs() -> None:
+    before = [1.0] * 4 + [0.0] * 6
+    after = [1.0] * 6 + [0.0] * 4
+    found = widened(before, after, Interval(0.2, 0.19, 0.21))
+    together = np.corrcoef(before, after)[0, 1]
+    assert together > 0.6
+    assert -0.2 < found.low < 0.0 < 0.4 < found.high < 0.6
+    apart = widened(before, after[::-1], Interval(0.2, 0.19, 0.21))
+    assert apart.low < found.low and apart.high > found.high  # pairs that move together tell more
+    wide = widened(before, after, Interval(0.2, -0.9, 0.9))
+    assert (wide.low, wide.high) == (-0.9, 0.9)
+
+
+def test_calibrated_intervals_are_those_of_the_published_truth() -> None:
+    table = pd.read_csv(Path(__file__).parents[3] / "docs/results/whatif/whatif_truth.csv")
+    found = calibration(table).set_index("set")
+    for warning, factor in CALIBRATION.items():
+        assert found.loc["all", str(warning)] == pytest.approx(factor, abs=0.01)
+    assert found.loc["all", "calibrated"] > 0.9 > found.loc["all", "raw"]
+    row = {"shift": 2.0, "low": 1.0, "high": 4.0, "other_reading": 2.0, "warning": Caution.NONE}
+    assert calibrated(row) == (1.0, 4.0)
+    assert calibrated(row | {"other_reading": np.nan}) == (1.0, 4.0)
+    low, high = calibrated(row | {"warning": "red", "other_reading": 5.0})
+    factor = CALIBRATION[Caution.RED]
+    assert (low, high) == pytest.approx((2 - factor * 10**0.5, 2 + factor * 13**0.5))
