@@ -143,7 +143,7 @@ def row(cell: Path) -> dict[str, Any]:
         value = f"{one['simulated']:.3g}"
         if measure in (AUC, SEQUENCE):
             area = found.areas[measure]
-            value = " ".join(
+            value += " " + " ".join(
                 f"{side} {area[side].estimate:.2f} [{area[side].low:.2f}, {area[side].high:.2f}]"
                 for side in ("simulated", "floor", "among")
                 if side in area

@@ -128,6 +128,11 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
         f"{fit.validation_episodes} ({fit.validated_on}); 95 % intervals over {fit.bootstrap} "
         f"resamples of episodes. Lengths in arena units{scale}."
     )
+    if fit.cells:
+        cells = len(fit.cells[0].centres)
+        caption += (
+            f" Actions are {cells} cells of recorded velocities, for which d and u are scales."
+        )
     rows = []
     for one in fits_by_kind(fit, demos):
         row = {

@@ -8,9 +8,10 @@ import pytest
 from commands import animarl
 from recordings import group
 from refusals import refuses
-from small_runs import QUICK
+from small_runs import QUICK, few, made
 from thrust_walks import walk
 
+from animarl_algos.cli.fit import format_fit_table
 from animarl_algos.data.recipe_choice import BY_CELLS
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
@@ -67,6 +68,13 @@ def test_cells_in_a_what_if_scale_each_step(pair: Run) -> None:
 
 def test_cells_have_no_live_page(pair: Run, tmp_path: Path) -> None:
     refuses("move by cells of recorded velocities", write_page, pair, tmp_path / "page.html")
+
+
+def test_cells_are_adapted_online(tmp_path: Path) -> None:
+    run = made(tmp_path, "dqdil-pt", demos=few("agent"), env_kwargs={"cells": CELLS})
+    assert run.policy.policy.num_actions == CELLS
+    caption = str(format_fit_table(run.fit, run.demos).caption)
+    assert "16 cells of recorded velocities" in caption
 
 
 @pytest.mark.slow
