@@ -200,9 +200,11 @@ def to_image(figure: Figure, alt: str) -> Image:
 
     buffer = io.StringIO()
     with figure_style():
-        for part in (figure, *figure.axes):
-            part.set_facecolor("none")
-        layout, canvas = figure.get_layout_engine(), FigureCanvasSVG(figure)
+        figure.set_facecolor("none")
+        for axes in figure.axes:
+            axes.set_facecolor("none")
+        canvas: Any = FigureCanvasSVG(figure)
+        layout = figure.get_layout_engine()
         assert layout is not None  # of new_figure
         figure.set_dpi(POINTS_PER_INCH)  # of the drawing
         layout.execute(figure)

@@ -231,12 +231,15 @@ def test_nothing_overflows_and_pictures_are_there(
 
 
 @pytest.mark.parametrize("name", ["report", "group"])
-def test_details_are_folded_and_a_page_has_at_most_eight_screens(
-    open_page: Open, name: str
-) -> None:
+def test_a_page_has_at_most_eight_screens(open_page: Open, name: str) -> None:
     page = open_page(1280, 800, name=name)
     page.reload()
     assert page.evaluate("document.documentElement.scrollHeight") <= 8 * 800
+
+
+def test_details_are_folded_until_they_are_asked_for(open_page: Open) -> None:
+    page = open_page(1280, 800)
+    page.reload()
     assert not page.is_visible("#provenance p >> nth=0")
     page.click("#provenance summary")
     assert page.is_visible("#provenance p >> nth=0")
