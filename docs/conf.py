@@ -23,7 +23,7 @@ extensions = [
 ]  # fmt: skip
 root_doc = "index"
 source_suffix = {".md": "myst-nb"}
-exclude_patterns = ["_build", "_generated/extra", "registry.md"]
+exclude_patterns = ["_build", "_generated/extra", "package_index.md"]
 html_theme = "furo"
 html_title = "AnimaRL"
 html_static_path = ["site.css"]
