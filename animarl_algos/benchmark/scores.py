@@ -45,7 +45,8 @@ from animarl_envs.demos.episode import PURSUER_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError, printable
-from animarl_envs.species import get_species
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import Species
 
 SEED = 0  # of all resampling
 SLACK = 0.02  # of the contact radius, for rounded positions of a submission
@@ -241,25 +242,25 @@ def score_submission(path: str | Path, species: str, *, resamples: int = RESAMPL
 
     InputError names the rollout that is not from a test start.
     """
-    rollouts, demos = read_submission(Path(path), species)
-    return replace(score(rollouts, demos, resamples=resamples), data=species, kind="method")
-
-
-def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]:
-    """Read the rollouts of a file, and the packaged demonstrations (all splits) of its species.
-
-    Only rollouts in the recorded condition, told no other one, count.
-    """
     if species not in packaged_names():
         raise InputError(
             f"--species {printable(species)}: choose among {', '.join(packaged_names())}"
         )
-    made, demos = Rollouts.load(path), load_packaged(species)
-    test = demos.select(split="test")
+    demos = load_packaged(species)
+    rollouts = read_submission(Path(path), species, demos)
+    return replace(score(rollouts, demos, resamples=resamples), data=species, kind="method")
+
+
+def read_submission(path: Path, name: str, demos: Demonstrations) -> Rollouts:
+    """Read the rollouts of a file from the test starts of the demonstrations ``name``.
+
+    Only rollouts in the recorded condition, told no other one, count.
+    """
+    made, test = Rollouts.load(path), demos.select(split="test")
     for key in ("individuals", "roles", "dt"):
         if getattr(made, key) != getattr(test, key):
             raise InputError(
-                f"{path}: its {key} ({getattr(made, key)}) are not those of {species} "
+                f"{path}: its {key} ({getattr(made, key)}) are not those of {name} "
                 f"({getattr(test, key)}): name the species that was rolled out"
             )
     if made.demo.min() < 0 or made.demo.max() >= len(test):
@@ -274,15 +275,16 @@ def read_submission(path: Path, species: str) -> tuple[Rollouts, Demonstrations]
         )
     if missing := set(range(len(test))) - set(made.demo.tolist()):
         raise InputError(f"{path}: no rollout is from test episode {min(missing)}: leave none out")
+    species = make_scenario(test.species, demos=demos).species
     for i, demo in enumerate(made.demo.tolist()):
-        if fault := _fault(made.path(i), int(made.outcome[i]), demo, test):
+        if fault := _fault(made.path(i), int(made.outcome[i]), demo, test, species):
             raise InputError(f"{path}: rollout {i}: {fault}")
-    return replace(made, method=printable(made.method)), demos
+    return replace(made, method=printable(made.method))
 
 
-def _fault(path: Floats, outcome: int, demo: int, test: Demonstrations) -> str:
+def _fault(path: Floats, outcome: int, demo: int, test: Demonstrations, species: Species) -> str:
     """Return why a rollout is not one from the start of test episode ``demo``; empty if it is."""
-    species, movers = get_species(test.species), sum(role != "target" for role in test.roles)
+    movers = sum(role != "target" for role in test.roles)
     if not 2 <= len(path) <= species.time_limit + 1:
         return (
             f"it has {len(path)} frames, and an episode 2 to {species.time_limit + 1}: give every "

@@ -14,6 +14,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from animarl_algos.benchmark import challenge
 from animarl_algos.benchmark.leaderboard import titles, write_leaderboard
 from animarl_algos.benchmark.matrix import (
     Plan,
@@ -116,28 +117,62 @@ def benchmark_command(
 @app.command("score")
 @with_help(
     file="A file of rollouts, .npz.",
-    species=typer.Option(help="The packaged species that was rolled out."),
+    species=typer.Option(
+        "--species", "--set", help="The packaged species that was rolled out; with --row, the set."
+    ),
+    row="Check it as an entry of the challenge, and write its row into this CSV.",
+    data="With --row, the demonstrations of a set of living animals, .npz.",
 )
-def score_command(file: Path, species: str) -> None:
+def score_command(
+    file: Path, species: str, row: Path | None = None, data: Path | None = None
+) -> None:
     """Check and score a file of rollouts; no code of its author is run.
 
-    Example:
+    An entry of the challenge (docs/challenge.md) has 32 rollouts from every test start.
+
+    Examples:
 
       animarl benchmark score runs/mine/rollouts/BC.npz --species agent
+
+      animarl benchmark score mine.npz --set fly --row table.csv
     """
-    result = score_submission(file, species)
+    if row is None and data is not None:
+        raise InputError("--data is for entries of the challenge: give --row, too")
+    if row is None:
+        result = score_submission(file, species)
+    else:
+        result = challenge.score_entry(file, species, data)
+        challenge.add_row(challenge.row_of(result, species, file), row)
     console = PlainConsole(least_width=100)
-    table = Table(title=f"{result.method} on {result.data}: {result.words}")
+    table = Table(title=f"{result.method} on {result.data or species}: {result.words}")
     for heading in ("measure", "value [95 % interval]", "null", "remark"):
         table.add_column(heading)
     for key, title in titles(result).items():
-        row = result.by_measure[key]
-        table.add_row(title, with_interval(interval(row)), number(row["null"]), row["reason"])
+        measured = result.by_measure[key]
+        value = with_interval(interval(measured))
+        table.add_row(title, value, number(measured["null"]), measured["reason"])
     console.print(table)
     console.print(
         f"{result.rollouts} rollouts from {result.starts} test starts; intervals cover "
         f"{result.covers}."
     )
+
+
+@app.command("starts")
+@with_help(
+    name=typer.Argument(metavar="SET", help="A set of the challenge, such as fly."),
+    out="The file to write, .csv.",
+    data="The demonstrations of a set of living animals, .npz.",
+)
+def starts_command(name: str, out: Path = Path("starts.csv"), data: Path | None = None) -> None:
+    """Write where the animals of a set of the challenge start in each test episode.
+
+    Example:
+
+      animarl benchmark starts fly --out starts.csv
+    """
+    challenge.write_starts(challenge.load_set(name, data), out)
+    PlainConsole().print(f"Wrote {out}")
 
 
 class StageBars:

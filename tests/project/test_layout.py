@@ -68,8 +68,8 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
-    "animarl_algos.benchmark": 20_000,
-    "animarl_algos.cli": 21_510,
+    "animarl_algos.benchmark": 20_930,
+    "animarl_algos.cli": 21_670,
     "animarl_algos.data": 8_560,
     "animarl_algos.evaluation": 42_240,
     "animarl_algos.learner": 18_180,
