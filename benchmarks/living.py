@@ -28,6 +28,7 @@ from rich.console import Console
 from animarl_algos.evaluation import Verdict
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import ORDER
+from animarl_algos.evaluation.statistics import Interval
 from benchmarks.faithful import DATA, DataSet, judged
 
 MEASURES = (
@@ -140,16 +141,15 @@ def row(cell: Path) -> dict[str, Any]:
         if measure not in set(found.table["measure"]):
             continue
         one = found.row(measure)
-        value = f"{one['simulated']:.3g}"
         if measure in (AUC, SEQUENCE):
-            area = found.areas[measure]
-            value += " " + " ".join(
-                f"{side} {area[side].estimate:.2f} [{area[side].low:.2f}, {area[side].high:.2f}]"
-                for side in ("simulated", "floor", "among")
-                if side in area
+            areas = {"": Interval(one["value"], one["low"], one["high"])} | found.areas[measure]
+            value = ", ".join(
+                f"{name} {area.estimate:.2f} [{area.low:.2f}, {area.high:.2f}]".strip()
+                for name, area in areas.items()
+                if name in ("", "floor", "among")
             )
         else:
-            value += f" (recorded {one['recorded']:.3g})"
+            value = f"{one['simulated']:.3g} (recorded {one['recorded']:.3g})"
         made[measure] = value
     return made | {"seconds": round(done["seconds"]), "commit": done["commit"]}
 
