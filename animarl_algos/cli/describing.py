@@ -45,6 +45,7 @@ CONSTANT = 0.05  # spread of a distance by its mean: that of parts of one body i
 MOST_POINTS = 20_000  # by which the shape of the ground is judged
 CORRIDOR = 0.25  # width by length; wider is no corridor
 RING, SECTORS = 0.45, 36  # inner by outer radius; all directions from the middle are visited
+ROUND, NEAR_RIM = 1.06, 0.9  # of the radius: no track lies beyond, or all directions are reached
 SAME_SIZE, MOVED = 0.15, 0.3  # of the width of recordings: how it deviates, how far they lie apart
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
@@ -191,7 +192,7 @@ def _episodes_by_condition(demos: Demonstrations, split: str) -> str:
 
 
 def describe_ground(demos: Demonstrations) -> list[str]:
-    """Return whether the tracks keep to a corridor or a ring, or the camera was moved."""
+    """Return whether the tracks keep to a corridor, ring or disc, or the camera was moved."""
     unit, points = unit_of(demos), demos.positions.reshape(-1, 2)
     if moved := _describe_moved_camera(demos):
         return [moved]
@@ -213,6 +214,13 @@ def describe_ground(demos: Demonstrations) -> list[str]:
             f"the tracks keep to a ring, {inner:.3g} to {outer:.3g} {unit.name} from its middle: "
             "simulated animals have the whole arena, and may cross the middle"
         ]
+    length = np.linalg.norm(from_middle, axis=1)
+    wide = np.ptp(points, axis=0) / 2
+    outside = from_middle[length > NEAR_RIM * wide.mean()]
+    sectors = np.histogram(np.arctan2(*outside.T), SECTORS, (-math.pi, math.pi))[0]
+    in_disc = length.max() < ROUND * wide.mean() and wide.min() > NEAR_RIM * wide.max()
+    if demos.arena.shape == "square" and in_disc and sectors.all():
+        return ["the tracks fill a disc: if the arena is round, give --arena disc"]
     return []
 
 

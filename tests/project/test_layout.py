@@ -69,7 +69,7 @@ LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
     "animarl_algos.benchmark": 20_930,
-    "animarl_algos.cli": 21_670,
+    "animarl_algos.cli": 21_810,
     "animarl_algos.data": 8_560,
     "animarl_algos.evaluation": 42_240,
     "animarl_algos.learner": 18_180,

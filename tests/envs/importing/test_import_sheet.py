@@ -99,7 +99,7 @@ def test_one_outlier_does_not_make_the_arena(shape: str) -> None:
 
 def test_a_moved_camera_is_noticed() -> None:
     rng = np.random.default_rng(0)
-    paths = [rng.uniform(-1, 1, (400, 1, 2)) + [shift, 0] for shift in (0.0, 0.8, 1.6)]
+    paths = [rng.uniform(-0.3, 0.3, (400, 1, 2)) + [shift, 0] for shift in (-0.4, 0.0, 0.4)]
     made = episodes_along(paths, individuals=("a",), roles=("pursuer",), species="custom")
     (told,) = describe_ground(replace(made, recording=np.array(["r0", "r1", "r2"])))
     assert "--centre-each" in told
@@ -110,7 +110,9 @@ def test_a_corridor_and_a_ring_are_noticed() -> None:
     angle, radius = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(0.8, 1.0, 4000)
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     box = rng.uniform(-1, 1, (4000, 2))
-    for points, word in ((ring, "ring"), (box * [1.0, 0.1], "corridor"), (box, "")):
+    disc = box[np.linalg.norm(box, axis=1) < 1.0]
+    corridor = box * [1.0, 0.1]
+    for points, word in ((ring, "ring"), (corridor, "corridor"), (box, ""), (disc, "--arena disc")):
         found = describe_ground(
             episodes_along(
                 [points[:, None]], individuals=("a",), roles=("pursuer",), species="custom"
