@@ -215,13 +215,13 @@ def whatif_command(
 
     own = [name for name in measure or () if ":" in name]
     register_measures(own)
-    asked = [name for name in measure or () if name not in own]
+    verdict_measures = [name for name in measure or () if name not in own]
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
     if len(loaded) == 1:
         loaded = run_set.ensemble(loaded[0])
     known = None if truth is None else find_truth(truth, loaded[0], repetitions)
-    check_changes(loaded, change, separately=separately, truth=known, measures=asked)
+    check_changes(loaded, change, separately=separately, truth=known, measures=verdict_measures)
     nulls: list[Run] = []
     if permutations:
         if not any(text.partition("=")[0].strip() == CONDITION for text in change):
@@ -244,7 +244,7 @@ def whatif_command(
         repetitions=repetitions,
         reading="knows" if knows else "habit",
         separately=separately,
-        measures=asked,
+        measures=verdict_measures,
         on_baseline=lambda table: console.print(
             terminal_table(unchanged_table(table), "unchanged world", wrapped=True)
         ),

@@ -199,10 +199,10 @@ def cross_validate(run: Run, folds: int, *, processes: int = 1, progress_bar: bo
         processes = 1
     begun = progress_display("cross-validation", "fold", folds - 1, disable=not progress_bar)
     with run.lock(), begun as bar:
-        shown = progress_bar and processes == 1
+        visible = progress_bar and processes == 1
         try:
             for number, seconds in Parallel(processes, return_as="generator", batch_size=1)(
-                delayed(_learn_fold)(number, fold.path, fold.acting_rule, shown)
+                delayed(_learn_fold)(number, fold.path, fold.acting_rule, visible)
                 for number, fold in enumerate(run_set.begin_folds(run, folds), 2)
             ):
                 run.add_time(f"fold {number} of {folds}", seconds)

@@ -282,14 +282,14 @@ def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
     return starts
 
 
-def _measured(test: Demonstrations, shown: int, run: TrainedRun) -> dict[str, Any]:
+def _measured(test: Demonstrations, count: int, run: TrainedRun) -> dict[str, Any]:
     """Return what is measured, and of the first recordings their values, and coarsely their paths.
 
     Parameters
     ----------
     test
         All test recordings, which thresholds and lags are taken from.
-    shown
+    count
         How many of them the page has.
     """
     species, unit = run.scenario.species, unit_of(run.demos)
@@ -300,13 +300,13 @@ def _measured(test: Demonstrations, shown: int, run: TrainedRun) -> dict[str, An
     judged = list(measured_quantities(test, unit, keys, prepared.smoothing))
     quantities, measured = [], {}
     for one in (*usual, *judged):
-        values = one.values(rollouts)[:shown]
+        values = one.values(rollouts)[:count]
         if np.isfinite(values).any():
             scale = unit.per_arena_unit if one.unit.startswith(unit.name) else 1.0
             described = {"name": one.name, "unit": one.unit, "kind": one.kind, "scale": scale}
             quantities.append(described)
             measured[one.name] = [round(v, 6) if np.isfinite(v) else None for v in values.tolist()]
-    first = test.select(episodes=np.arange(shown))
+    first = test.select(episodes=np.arange(count))
     paths = first.positions.astype(np.float32)
     recorded = {
         "measured": measured,

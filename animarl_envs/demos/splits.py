@@ -187,10 +187,10 @@ def _conditions_by_group(
     groups: NDArray[np.str_], condition: NDArray[np.integer] | None
 ) -> dict[str, str]:
     """Return the conditions that the episodes of each group are of, as a text."""
-    found = {name: set[int]() for name in groups.tolist()}
+    numbers = {name: set[int]() for name in groups.tolist()}
     for name, one in zip(groups.tolist(), [0] * len(groups) if condition is None else condition):
-        found[name].add(int(one))
-    return {name: str(sorted(some)) for name, some in found.items()}
+        numbers[name].add(int(one))
+    return {name: str(sorted(some)) for name, some in numbers.items()}
 
 
 def assign_splits(
