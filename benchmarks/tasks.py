@@ -2,14 +2,14 @@
 
     python benchmarks/tasks.py [--quick] [--task AgentTask ...] [--seed 0 ...] [--out FOLDER]
 
-Rows of a task: actions drawn at random; the best of all policies that always take one action; the
-best scripted rule of one number (a pursuer leads the target by a time; straight at it is one of
-the constant actions; the moth's is the programme ``animarl_envs.worlds.search.programmed_moth``,
-which needs the full observation, and finds few sources from starts to the side and upwind); the
-packaged clone, where it can act in the task's world; stable-baselines3's PPO, which has no memory,
-and sb3-contrib's RecurrentPPO, both with the settings below for every task; and the packaged
-demonstrations, which are synthetic: what the task would have paid the first pursuer for its
-episode, from its start there.
+A task has a part of the table for each individual that may act: ``AgentTask`` is for the first
+pursuer, ``AgentTask:prey`` for ``focal="prey"``. Rows: actions drawn at random; the best of all
+policies that always take one action; the individual's own script (pursuers intercept, targets flee;
+the moth's is the programme ``animarl_envs.worlds.search.programmed_moth``, which needs the full
+observation, and finds few sources from starts to the side and upwind); the packaged clone, where it
+can act in the task's world; stable-baselines3's PPO, which has no memory, and sb3-contrib's
+RecurrentPPO, both with the settings below for every task; and the packaged demonstrations, which
+are synthetic: what the task would have paid the individual for its episode, from its start there.
 
 Returns are means of the first episode of 500 copies, whose starts no learner was trained on; all
 policies act as they do in training, at random where their distribution says so. A score is the
@@ -24,10 +24,9 @@ from __future__ import annotations
 
 import argparse
 import csv
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -47,6 +46,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.files import write_then_rename
+from animarl_envs.focus import first_pursuer
 from animarl_envs.species import SearchSpecies
 from animarl_envs.tasks import TASKS
 from animarl_envs.views.vector import AnimalVectorEnv
@@ -64,9 +64,6 @@ STEPS = {
     "SilkmothMemory": 2_000_000,
 }
 """Steps of training, the same for both learners; a fly's by pilots of PPO with seeds 10 to 12."""
-LEADS = (0.0, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0)
-"""Times by which the scripted pursuer leads the target, in those in which its thrust carries it
-half an arena."""
 SETTINGS: dict[str, Any] = {
     "n_steps": ROLLOUT, "batch_size": 2048, "n_epochs": 5, "gamma": 0.998, "gae_lambda": 0.95,
     "learning_rate": 1e-3, "ent_coef": 0.005, "device": "cpu",
@@ -109,6 +106,21 @@ Act = Callable[[NDArray[np.float32], NDArray[np.bool_]], NDArray[np.int64]]
 """Actions of all copies, from what they see and which of them have just begun."""
 
 
+def tasks_by_individual() -> list[str]:
+    """The tasks, and behind a colon which individual acts where it is not the first pursuer."""
+    listed = []
+    for name, task in TASKS.items():
+        names, first = task.base.individuals, first_pursuer(task.base.roles)
+        listed += [name] + [f"{name}:{who}" for i, who in enumerate(names) if i != first]
+    return listed
+
+
+def of_task(task: str) -> dict[str, Any]:
+    """Arguments of ``gym.make`` for one of :func:`tasks_by_individual`."""
+    name, _, focal = task.partition(":")
+    return {"id": f"AnimaRL/{name}-v0"} | ({"focal": focal} if focal else {})
+
+
 class SlotsOnly(VecEnv):
     """A ``VecEnv`` of arrays, whose slots are no environments of their own."""
 
@@ -132,9 +144,7 @@ class ManyCopies(SlotsOnly):
     """``gym.make_vec``'s native copies as a stable-baselines3 ``VecEnv``."""
 
     def __init__(self, task: str, copies: int, seed: int, **options: Any) -> None:
-        made = gym.make_vec(
-            f"AnimaRL/{task}-v0", num_envs=copies, autoreset_mode="SameStep", **options
-        )
+        made = gym.make_vec(**of_task(task), num_envs=copies, autoreset_mode="SameStep", **options)
         assert isinstance(made.unwrapped, AnimalVectorEnv)
         self.env, self.first, self.render_mode = made.unwrapped, seed, None
         super().__init__(copies, self.env.single_observation_space, self.env.single_action_space)
@@ -179,7 +189,7 @@ def constant(action: int) -> Act:
 
 def world_of(task: str) -> Any:
     """The task's world, one copy."""
-    env = gym.make(f"AnimaRL/{task}-v0").unwrapped
+    env = gym.make(**of_task(task)).unwrapped
     return env.world  # type: ignore[attr-defined]
 
 
@@ -198,18 +208,23 @@ def best_constant(task: str, episodes: int) -> tuple[int, float]:
 
 
 def scripted_row(task: str, episodes: int) -> float | None:
-    """A pursuer that leads the target; of the moth its programme, which needs more than odour.
+    """The individual's own script: a pursuer intercepts, a target flees, the moth has a programme.
 
-    The pursuer accelerates at where the target would be after a time if both kept their velocity.
-    The time is the one that earns most on other starts.
+    The programme needs more than odour.
     """
-    species = world_of(task).scenario.species
+    made: Any = ManyCopies(task, episodes, STARTS).env
+    species, focal = made.scenario.species, made.focal_index
     if not isinstance(species, SearchSpecies):
-        own = species.locomotion[0]
-        carried = math.sqrt(species.arena.size / own.thrust)
-        rules = [leading(task, lead * carried, own.action_vectors) for lead in LEADS]
-        earned = [mean_return(task, rule, episodes, CHOICE_STARTS) for rule in rules]
-        return mean_return(task, rules[int(np.argmax(earned))], episodes)
+        drivers = ("scripted",) * species.num_individuals
+        world = make_world(replace(made.scenario, drivers=drivers), episodes)
+        world.seed(STARTS + np.arange(episodes))
+        world.reset()
+        total, running = np.zeros(episodes), np.ones(episodes, bool)
+        while running.any():
+            world.step(np.zeros((episodes, species.num_individuals), dtype=np.int64))
+            total += world.reward[:, focal] * running
+            running &= ~(world.terminated | world.truncated)
+        return float(total.mean())
     if species.observation == "odour":
         return None
     moths = ProgrammedMoth(episodes, np.random.default_rng(0), species)
@@ -221,20 +236,6 @@ def scripted_row(task: str, episodes: int) -> float | None:
     return mean_return(task, act, episodes, observation="full")
 
 
-def leading(task: str, time: float, pushes: NDArray[np.float64]) -> Act:
-    """Accelerate at where the focus will be in so long; ``pushes`` are the actions' vectors."""
-    names = [component.name for component in world_of(task).observation_components]
-    ahead, left = (names.index(f"other 1 relative velocity {way}") for way in ("ahead", "left"))
-    distance = names.index("other 1 distance")
-
-    def act(seen: NDArray[np.float32], begun: NDArray[np.bool_]) -> NDArray[np.int64]:
-        aim = time * seen[:, [ahead, left]].astype(np.float64)
-        aim[:, 0] += seen[:, distance]
-        return np.argmax(aim @ pushes.T, axis=1)
-
-    return act
-
-
 def clone_row(task: str, episodes: int) -> float | None:
     """The packaged clone drives the first pursuer, by all that it observed when it learned."""
     if world_of(task).scenario.species.observation == "odour":
@@ -242,7 +243,7 @@ def clone_row(task: str, episodes: int) -> float | None:
     from animarl_algos.evaluation.collect import remembered  # baselines.py may not have what they
     from animarl_algos.runs.pretrained import load_pretrained  # need, and imports this file
 
-    view: Any = gym.make(f"AnimaRL/{task}-v0", observation="full").unwrapped
+    view: Any = gym.make(**of_task(task), observation="full").unwrapped
     model = load_pretrained(view.scenario.species.name)
     world, focal = make_world(view.scenario, episodes), view.focal_index
     world.seed(STARTS + np.arange(episodes))
@@ -268,12 +269,15 @@ def clone_row(task: str, episodes: int) -> float | None:
 
 
 def shown_row(task: str) -> float:
-    """What the first pursuer's packaged episodes would have been paid."""
-    species = world_of(task).scenario.species
+    """What the individual's packaged episodes would have been paid."""
+    made: Any = gym.make(**of_task(task)).unwrapped
+    species, i = made.scenario.species, made.focal_index
     demos = load_packaged(species.name).select(split="train")
-    shared = demos.condition == 1 if getattr(species, "shared_reward", False) else False
-    touched = (demos.outcome == 1) | ((demos.outcome > 0) & shared)
     steps = np.minimum(demos.lengths - 1, species.time_limit)
+    if len(species.roles) > 1 and species.roles[i] == "target":
+        return float(np.mean(species.dt * (steps - (demos.outcome > 0))))
+    shared = demos.condition == 1 if getattr(species, "shared_reward", False) else False
+    touched = (demos.outcome == i + 1) | ((demos.outcome > 0) & shared)
     return float(np.mean(touched - species.step_cost * steps))
 
 
@@ -362,7 +366,7 @@ def measure(
     rows.need(task, "packaged clone", "", "", lambda: clone_row(task, episodes))
     rows.need(task, SHOWN, "", "", lambda: shown_row(task))
     for name in learners:
-        steps = 2 * COPIES * ROLLOUT if quick else STEPS[task]
+        steps = 2 * COPIES * ROLLOUT if quick else STEPS[task.partition(":")[0]]
         for seed in seeds:
             find = partial(learned_row, task, name, seed, steps, episodes)
             rows.need(task, name, str(seed), str(steps), find)
@@ -428,12 +432,14 @@ def write_table(
 
 
 def main() -> None:
-    arguments = parsed_arguments(__doc__, list(TASKS), LEARNERS)
+    arguments = parsed_arguments(__doc__, tasks_by_individual(), LEARNERS)
     out = arguments.out or Path("out/tasks_quick" if arguments.quick else "docs/results/tasks")
     rows = Rows(out / "scores.csv")
     for task in arguments.task:
         measure(rows, task, arguments.learner, arguments.seed, arguments.quick)
-    listed = [row for task in TASKS for row in scores(rows, task)]  # of earlier commands too
+    listed = [
+        row for task in tasks_by_individual() for row in scores(rows, task)
+    ]  # of earlier commands too
     title = "Returns and scores (random 0, best learner 1)"
     write_table(title, COLUMNS, listed, out / "table.csv")
 

@@ -159,8 +159,8 @@ class FewerWorld(ChaseWorld):
         super()._start(mask)
         self._show()
 
-    def _advance(self, actions: NDArray[np.integer]) -> None:
-        super()._advance(actions)
+    def _advance(self, actions: NDArray[np.integer], observed: bool) -> None:
+        super()._advance(actions, observed)
         self._show()
 
     def _show(self) -> None:

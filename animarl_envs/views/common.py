@@ -225,10 +225,11 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> Int
         raise InputError(f"actions have shape {array.shape}: give {shape}, one per copy")
     if array.dtype.kind not in "iu":
         raise InputError(f"actions are {array.dtype}: give whole numbers, 0 to {num_actions - 1}")
-    if array.min() < 0 or array.max() >= num_actions:
+    whole = array.astype(np.int64, copy=False)
+    if whole.view(np.uint64).max() >= num_actions:  # negative ones are large, too
         worst = array.max() if array.max() >= num_actions else array.min()
         raise InputError(f"action {worst} is out of range: choose 0 to {num_actions - 1}")
-    return array.astype(np.int64, copy=False)
+    return whole
 
 
 def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> Ints | None:

@@ -161,7 +161,8 @@ class AnimalVectorEnv(  # type: ignore[misc]
         for j, policy in self._policies.items():
             self._actions[:, j] = np.asarray(policy(world.observation[:, j].copy()))
         due = self._ended.copy()  # copies to reset instead of stepping them
-        if due.any():
+        resetting = np.count_nonzero(due) > 0
+        if resetting:
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise InputError(
                     f"copy {int(np.argmax(due))} has ended: reset it with "
@@ -169,9 +170,9 @@ class AnimalVectorEnv(  # type: ignore[misc]
                 )
             streams = world.random_state[due]
         warming, executed = world.warming.copy(), self.world.executed(self._actions)[:, i].copy()
-        world.step(self._actions)
+        world.step(self._actions, observed=not resetting)
         self.reset_by_step = due
-        if due.any():
+        if resetting:
             world.random_state[due] = streams  # as if the step had not been
             world.reset(due)
             warming[due] = False
@@ -183,7 +184,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         infos = self._masked(self._infos() | {"warmup": warming, "executed": executed})
         self._ended = ended
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
-            if ended.any():
+            if np.count_nonzero(ended):
                 self._reset_same_step(ended, infos)
             self._ended = np.zeros_like(ended)
         return self._observation(), reward, terminated, truncated, infos
@@ -212,11 +213,12 @@ class AnimalVectorEnv(  # type: ignore[misc]
         return tuple(self._pictures.draw())
 
     def _masked(self, infos: dict[str, Any]) -> dict[str, Any]:
-        """With a mask for each entry: every copy has it."""
-        return infos | {f"_{key}": self._all.copy() for key in infos}
+        """With a mask for each entry, one array for all: every copy has it."""
+        mask = self._all.copy()
+        return infos | {f"_{key}": mask for key in infos}
 
     def _observation(self) -> NDArray[np.float32]:
-        return np.array(self.world.observation[:, self.focal_index], order="C")
+        return self.world.observations_of(self.focal_index)
 
     def _infos(self) -> dict[str, Any]:
         world, i = self.world, self.focal_index

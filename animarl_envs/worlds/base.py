@@ -224,13 +224,14 @@ class World(ABC):
         for tracker in self.trackers:
             tracker.started(self, mask)
 
-    def step(self, actions: NDArray[np.integer]) -> None:
+    def step(self, actions: NDArray[np.integer], observed: bool = True) -> None:
         """Advance every copy by one decision step; ``actions`` is ``(B, K)``, 0 to 12 M.
 
-        A copy whose episode has ended is advanced as well: reset it first.
+        A copy whose episode has ended is advanced as well: reset it first. Without ``observed`` the
+        observations may be left as they were, for callers that reset some copies next.
         """
         # One type and layout of actions, or numba would compile a kernel for each.
-        self._advance(np.asarray(actions, np.int64, order="C"))
+        self._advance(np.asarray(actions, np.int64, order="C"), observed or self._disturbed)
         if self._disturbed:
             self._disturb(self._everywhere)
         for tracker in self.trackers:
@@ -241,8 +242,14 @@ class World(ABC):
         """Set the first state of new episodes and sense it."""
 
     @abstractmethod
-    def _advance(self, actions: NDArray[np.integer]) -> None:
+    def _advance(self, actions: NDArray[np.integer], observed: bool) -> None:
         """Advance all copies by one step: move, decide the episode's end, reward, sense."""
+
+    def observations_of(self, i: int) -> NDArray[np.float32]:
+        """Return a copy of what individual ``i`` observes, ``(B, n)``."""
+        seen = np.empty((self.num_copies, self.observation.shape[2]), np.float32)
+        _gather(self.observation.transpose(1, 2, 0)[i], seen)
+        return seen
 
     def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
         """Return the actions ``(B, K)`` that the next step executes when given ``actions``.
@@ -250,7 +257,7 @@ class World(ABC):
         These are the demonstrated actions in copies that are warming up. A policy that sees its
         previous action must see what was done, in a simulator as in demonstrations.
         """
-        if not self.warming.any():
+        if not self._warmup or not self.warming.any():
             return actions
         if self.num_copies == 1:  # the same with less work, for views of one copy
             only = self._demos.start.item(self.demo.item()) + self.step_count.item()
@@ -372,3 +379,12 @@ def _add_noise(mask, seen, deviation, random, observation):  # type: ignore[no-u
                     observation[b, i, c] = seen[b, i, c]
                     if deviation > 0.0:
                         observation[b, i, c] += deviation * next_normal(random, b)
+
+
+@jit
+def _gather(by_component, by_copy):  # type: ignore[no-untyped-def]
+    """Transpose; NumPy takes twice as long."""
+    n, B = by_component.shape
+    for c in range(n):
+        for b in range(B):
+            by_copy[b, c] = by_component[c, b]

@@ -7,16 +7,12 @@ runs over all copies and has no branch, so that it compiles to vector instructio
 by index, not cut out as views, which would cost more than the row when there is one copy only.
 ``field`` is ``(shape code, size, boundary)``.
 
-Individuals without a learner follow a scripted rule. A pursuer accelerates straight at the target
-(of several, at the nearest). A target looks ahead along each of its actions. It takes the one that
-leaves it farthest from walls, and from pursuers that accelerate straight at where it is now.
+Individuals without a learner follow a rule of :mod:`animarl_envs.worlds.chase.scripted`.
 """
 
 import math
 from collections import namedtuple
 
-import numba as nb
-import numpy as np
 from numba.core import types
 from numba.experimental import structref
 
@@ -27,6 +23,7 @@ from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import ACTION, COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.cells import draw_step, follow_course
 from animarl_envs.worlds.chase.headings import turn_bodies
+from animarl_envs.worlds.chase.scripted import decide
 from animarl_envs.worlds.chase.senses import observe, remember
 from animarl_envs.worlds.streams import next_below, next_uniform
 
@@ -132,8 +129,8 @@ def make_reference(parts):  # type: ignore[no-untyped-def]
 
 
 @jit
-def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
-    """Advance one step in one call, or only observe if not ``moving``; ``wanted`` is ``(B, K)``."""
+def advance(wanted, moving, observing, state):  # type: ignore[no-untyped-def]
+    """Move one step if ``moving`` and observe if ``observing``; ``wanted`` is ``(B, K)``."""
     dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
     damping, thrust, pushes, drivers = state.damping, state.thrust, state.pushes, state.drivers
     actions, position, velocity = state.actions, state.position, state.velocity
@@ -153,13 +150,16 @@ def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
                 actions,
                 position,
                 velocity,
+                acceleration,
                 towards,
                 damping,
                 thrust,
                 pushes,
                 dt,
                 field,
+                state.contact_radius,
                 lone,
+                state.free,
             )
         remember(velocity, step_count, state.senses, state.free, state.past)
         _move(state.cells, state)
@@ -186,21 +186,22 @@ def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
             outcome[b] = code[b]
             terminated[b] = code[b] != TIME_OUT
             truncated[b] = step_count[b] >= state.time_limit and code[b] == TIME_OUT
-    observe(
-        position,
-        velocity,
-        acceleration,
-        state.past,
-        step_count,
-        towards,
-        state.bodies,
-        state.neighbours,
-        state.senses,
-        state.free,
-        state.headed,
-        state.full,
-        state.observation,
-    )
+    if observing:
+        observe(
+            position,
+            velocity,
+            acceleration,
+            state.past,
+            step_count,
+            towards,
+            state.bodies,
+            state.neighbours,
+            state.senses,
+            state.free,
+            state.headed,
+            state.full,
+            state.observation,
+        )
 
 
 # -- moving ---------------------------------------------------------------------------------------
@@ -208,29 +209,51 @@ def advance(wanted, moving, state):  # type: ignore[no-untyped-def]
 
 @inline_wrapper
 def drive(  # type: ignore[no-untyped-def]
-    drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field, lone
+    drivers,
+    actions,
+    position,
+    velocity,
+    acceleration,
+    towards,
+    damping,
+    thrust,
+    pushes,
+    dt,
+    field,
+    contact_radius,
+    lone,
+    free,
 ):
-    """Write actions of the individuals that the caller does not drive, ``(K, B)``."""
+    """Write actions of the individuals that the caller does not drive, ``(K, B)``.
+
+    Of free animals none pursues: their script is to accelerate along their course.
+    """
     coast = pushes.shape[2] - 1
     for i in range(len(drivers)):
         if drivers[i] == COASTING or drivers[i] == REPLAY:
             for b in range(actions.shape[1]):
                 actions[i, b] = coast
         elif drivers[i] == SCRIPTED:
-            decide(
-                i,
-                position,
-                velocity,
-                towards,
-                damping,
-                thrust,
-                pushes,
-                dt,
-                field[0],
-                field[1],
-                lone,
-                actions,
-            )
+            if free is None:
+                decide(
+                    i,
+                    position,
+                    velocity,
+                    acceleration,
+                    towards,
+                    damping,
+                    thrust,
+                    pushes,
+                    dt,
+                    field[0],
+                    field[1],
+                    contact_radius,
+                    lone,
+                    actions,
+                )
+            else:
+                for b in range(actions.shape[1]):
+                    actions[i, b] = 0
 
 
 @inline_wrapper
@@ -483,151 +506,3 @@ def judge_free(  # type: ignore[no-untyped-def]
             components[i, BOUNDARY, b] = penalty if out else 0.0
             code[b] = PURSUER_OUT if out else code[b]
             reward[i, b] = components[i, ELAPSED, b] + components[i, BOUNDARY, b]
-
-
-LOOKS = 3  # a target looks ahead by thirds of the time in which its thrust carries it half a size
-WALL_WEIGHT = 10.0  # of the walls' cost, beside (size / distance)^2 of each pursuer
-SOFTENING = 0.0025  # added to the squared distance in sizes, which may be zero
-BLOCK = 64  # copies that a rule decides for at a time
-WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
-
-
-@nb.njit(inline="always")
-def _reach(damping, thrust, dt, steps):  # type: ignore[no-untyped-def]
-    """Return how far velocity 1 and a held unit action carry in so many steps.
-
-    The sums of v' = (1 - d) v + u a dt and p' = p + v' dt.
-    """
-    if damping < 1e-9:
-        return steps * dt, thrust * dt * dt * steps * (steps + 1.0) / 2.0
-    kept = 1.0 - damping
-    carried = dt * kept * (1.0 - kept**steps) / damping
-    return carried, thrust * dt * (steps * dt - carried) / damping
-
-
-FAR_AWAY = 1e9  # a pursuer there costs nothing; it makes their number even
-
-
-@inline_kernel
-def _place_pursuer(  # type: ignore[no-untyped-def]
-    j, i, row, begin, count, position, velocity, carried, pushed, theirs
-):
-    """Write where pursuer ``j`` will be if it accelerates straight at where target ``i`` is now.
-
-    Velocity carries it ``carried`` times its length, thrust ``pushed`` arena units. ``theirs``
-    ``(rows, copies)`` gets x and y from ``row`` on, of ``count`` copies from ``begin`` on.
-    """
-    for b in range(count):
-        to_x = position[i, 0, begin + b] - position[j, 0, begin + b]
-        to_y = position[i, 1, begin + b] - position[j, 1, begin + b]
-        chase = pushed / (math.sqrt(to_x * to_x + to_y * to_y) + 1e-9)
-        x = position[j, 0, begin + b] + carried * velocity[j, 0, begin + b]
-        y = position[j, 1, begin + b] + carried * velocity[j, 1, begin + b]
-        theirs[row, b] = x + chase * to_x
-        theirs[row + 1, b] = y + chase * to_y
-
-
-@nb.njit(inline="always")
-def _danger(x, y, row, b, theirs, soft, wall):  # type: ignore[no-untyped-def]
-    """Return the cost of being at ``(x, y)``: (1 / distance)^2 of two pursuers, and of the wall.
-
-    ``row`` is the first of the pursuers' four in ``theirs``. The wall, ``(shape, inside, weight)``,
-    costs the squared depth in the margin beyond ``inside``.
-    """
-    shape, inside, weight = wall
-    dx = theirs[row, b] - x
-    dy = theirs[row + 1, b] - y
-    one = dx * dx + dy * dy + soft
-    dx = theirs[row + 2, b] - x
-    dy = theirs[row + 3, b] - y
-    two = dx * dx + dy * dy + soft
-    cost = (one + two) / (one * two)  # one division for both
-    if shape == SQUARE:
-        depth_x = max(0.0, abs(x) - inside)
-        depth_y = max(0.0, abs(y) - inside)
-        cost += weight * (depth_x * depth_x + depth_y * depth_y)
-    elif shape == DISC:
-        depth = max(0.0, math.sqrt(x * x + y * y) - inside)
-        cost += weight * depth * depth
-    return cost
-
-
-@jit
-def _add_danger(ahead, left, reach, row, mine, theirs, soft, wall, cost):  # type: ignore[no-untyped-def]
-    """Add to ``cost`` ``(copies,)`` the danger of a push at the three looks, from two pursuers."""
-    carried_1, carried_2, carried_3 = reach[0, 0], reach[1, 0], reach[2, 0]
-    pushed_1, pushed_2, pushed_3 = reach[0, 1], reach[1, 1], reach[2, 1]
-    for b in range(cost.shape[0]):
-        x, y, vx, vy = mine[0, b], mine[1, b], mine[2, b], mine[3, b]
-        ax = ahead * mine[4, b] - left * mine[5, b]
-        ay = ahead * mine[5, b] + left * mine[4, b]
-        x1, y1 = x + carried_1 * vx + pushed_1 * ax, y + carried_1 * vy + pushed_1 * ay
-        x2, y2 = x + carried_2 * vx + pushed_2 * ax, y + carried_2 * vy + pushed_2 * ay
-        x3, y3 = x + carried_3 * vx + pushed_3 * ax, y + carried_3 * vy + pushed_3 * ay
-        danger = _danger(x1, y1, row, b, theirs, soft, wall)
-        danger += _danger(x2, y2, row + 4, b, theirs, soft, wall)
-        danger += _danger(x3, y3, row + 8, b, theirs, soft, wall)
-        cost[b] += danger
-
-
-@jit
-def decide(  # type: ignore[no-untyped-def]
-    i, position, velocity, towards, damping, thrust, pushes, dt, shape, size, lone, actions
-):
-    """Write the action of individual ``i``'s rule in each copy to ``actions[i]``, ``(B,)``.
-
-    ``pushes`` ``(K, 2, A)`` are the actions' vectors in multiples of the thrust, ahead and left.
-    ``lone``: the last individual pursues all others, else all others pursue it. Copies are taken
-    ``BLOCK`` at a time and pursuers two at a time, so that a loop's numbers stay in the first cache
-    and in registers.
-    """
-    K, _, B = position.shape
-    last = K - 1
-    for b in range(B):
-        actions[i, b] = 0
-    if (i == last) == lone:
-        return
-    first_pursuer, end = (last, K) if lone else (0, last)
-    pairs = (end - first_pursuer + 1) // 2
-    steps = np.ceil(np.sqrt(size / thrust[i]) / dt)
-    reach = np.empty((K, LOOKS, 2))
-    for j in range(K):
-        for look in range(LOOKS):
-            until = max(1.0, np.floor((look + 1) * steps / LOOKS))
-            reach[j, look, 0], reach[j, look, 1] = _reach(damping[j], thrust[j], dt, until)
-    soft, margin = SOFTENING * size * size, WALL_MARGIN * size
-    weight = WALL_WEIGHT / (margin * size) ** 2
-    room = min(B, BLOCK)  # scratch of a block; the last block may leave some of it unused
-    mine, theirs = np.zeros((6, room)), np.full((4 * LOOKS * pairs, room), FAR_AWAY)
-    cost, lowest, best = np.empty(room), np.empty(room), np.empty(room)
-    for begin in range(0, B, BLOCK):
-        count = min(B - begin, BLOCK)
-        for x in range(2):
-            for b in range(count):
-                mine[x, b] = position[i, x, begin + b]
-                mine[2 + x, b] = velocity[i, x, begin + b]
-                mine[4 + x, b] = towards[i, x, begin + b]
-        for j in range(first_pursuer, end):
-            pair, second = (j - first_pursuer) // 2, (j - first_pursuer) % 2
-            for look in range(LOOKS):
-                row = 4 * (LOOKS * pair + look) + 2 * second
-                carried, pushed = reach[j, look, 0], reach[j, look, 1]
-                _place_pursuer(j, i, row, begin, count, position, velocity, carried, pushed, theirs)
-        for b in range(room):
-            lowest[b] = math.inf
-            best[b] = 0.0
-        for k in range(pushes.shape[2]):
-            for b in range(room):
-                cost[b] = 0.0
-            for pair in range(pairs):
-                wall = shape, size - margin, weight if pair == 0 else 0.0
-                ahead, left = pushes[i, 0, k], pushes[i, 1, k]
-                first_row = 4 * LOOKS * pair
-                _add_danger(ahead, left, reach[i], first_row, mine, theirs, soft, wall, cost)
-            number = float(k)
-            for b in range(room):
-                better = cost[b] < lowest[b]
-                best[b] = number if better else best[b]
-                lowest[b] = cost[b] if better else lowest[b]
-        for b in range(count):
-            actions[i, begin + b] = int(best[b])

@@ -160,7 +160,7 @@ class ChaseWorld(World):
 
     def _look(self) -> None:
         """Observe the present state, by the kernel of a step: there is one to compile."""
-        kernels.advance(np.zeros((0, 0), dtype=np.int64), False, self._reference)
+        kernels.advance(np.zeros((0, 0), dtype=np.int64), False, True, self._reference)
 
     def _wake(self, mask: Bools) -> None:
         """Set the first headings of new episodes."""
@@ -174,8 +174,8 @@ class ChaseWorld(World):
         )
         self.turn[mask] = 0.0
 
-    def _advance(self, actions: NDArray[np.integer]) -> None:
-        kernels.advance(actions, True, self._reference)
+    def _advance(self, actions: NDArray[np.integer], observed: bool) -> None:
+        kernels.advance(actions, True, observed, self._reference)
 
     def scene_details(self, copy: int) -> dict[str, Any]:
         """Return the headings, where they are a state of their own."""

@@ -131,7 +131,7 @@ class SearchWorld(World):
     def _start(self, mask: Bools) -> None:
         kernels.start(mask, self._reference)
 
-    def _advance(self, actions: NDArray[np.integer]) -> None:
+    def _advance(self, actions: NDArray[np.integer], observed: bool) -> None:
         kernels.step(actions, self._reference)
 
     def antennae(self) -> Floats:
