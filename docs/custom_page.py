@@ -62,7 +62,7 @@ rows of `recording, individual, role` in the table of `--metadata`. Without reco
 - The first touch of a target ends the episode for all. `info["outcome"]` is k for target k - 1.
 - The pursuer then gets +1. Each target gets dt for every step before. Leaving the boundary costs
   10.
-- With their scripts, the pursuer goes straight at the nearest target and each target runs from the
+- With their scripts, the pursuer intercepts the nearest target and each target runs from the
   pursuer. Scripted targets do not keep together, as recorded or trained flocks may.
 - You control the pursuer, or the individual named by `focal`. Path lengths and distances in reports
   are the pursuer's."""

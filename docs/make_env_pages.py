@@ -120,11 +120,17 @@ def scores(task: str) -> list[str]:
     for name, note in (("table", SCORES), ("teams", TEAMS)):
         path = DOCS / "results" / "tasks" / f"{name}.csv"
         rows = list(csv.reader(path.read_text().splitlines())) if path.exists() else [[]]
-        own = [[f"`AnimaRL/{of}-v0`", *row] for of, *row in rows[1:] if of.startswith(task)]
+        own = [[environment(of), *row] for of, *row in rows[1:] if of.startswith(task)]
         if own:
             found += [markdown_table(("environment", *rows[0][1:]), own), note]
             found += bars(own) if name == "table" else []
     return found
+
+
+def environment(task: str) -> str:
+    """The id of a task, and behind a colon who acts in it."""
+    name, colon, focal = task.partition(":")
+    return f"`{animarl_envs.environment_id(name)}`" + (f": {focal}" if colon else "")
 
 
 def bars(rows: list[list[str]]) -> list[str]:
@@ -154,7 +160,9 @@ SCORES = (
     "the spread goes from the lowest to the highest seed, and a score is 0 for random actions and "
     "1 for the best learner. RecurrentPPO's rows of flies, newts and moths with all senses were "
     "made on another machine (Python 3.12.3, PyTorch 2.11.0, commit 9561591), whose rows without "
-    "learning are equal to those here, digit for digit. The packaged "
+    "learning are equal to those here, digit for digit. Behind a colon stands who acts, else the "
+    "first pursuer does. **Rows of first pursuers of agents, flies and newts were made before "
+    "scripted pursuers intercepted**: their teammate went straight at the target. The packaged "
     "demonstrations are synthetic; their animals started elsewhere and met no opponents but each "
     "other. The tasks and the numbers of steps were chosen on pilots and on earlier rows of the "
     "seeds in the table; a fly's steps by three pilots of PPO with seeds 10, 11 and 12 (returns "

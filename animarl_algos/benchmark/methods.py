@@ -14,7 +14,7 @@ The references are:
 ``nearest``
     What was done in the nearest recorded second of training.
 ``scripted``
-    Pursuers straight at the target, which evades; a moth that surges, zigzags and loops.
+    Pursuers intercept the target, which evades; a moth that surges, zigzags and loops.
 ``constant-velocity``, ``still``, ``random``
     The action that changes the velocity least, that stops soonest, any.
 """
