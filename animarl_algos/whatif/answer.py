@@ -336,7 +336,9 @@ class _Comparison:
         self.truth: Truth | None = None
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
-        self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
+        self.ranges = [
+            InputRange.of(run.scenario.species, run.demos.select(split="train")) for run in runs
+        ]
         self.baseline, *self.usual = self._simulate(ChangedWorld(()), {}, "habit")
         self.smoothing = comparison_smoothing(self.test) if keys else 1
         recorded = Rollouts.from_demonstrations(self.test)
@@ -411,9 +413,9 @@ class _Comparison:
         if scenario.condition is not None:
             index = self.species.conditions.index(scenario.condition)
             cue = {"condition" if self.species.condition_is_sensed else "flag": index}
-        size = len(self.ranges[0].words)
+        words = self.ranges[0].words
         beyond = np.full((len(self.runs), len(names)), np.nan)
-        inputs = np.full((len(self.runs), len(names), size), np.nan)
+        inputs, sides = np.full((len(names), len(words)), np.nan), []
         for number, (run, ranges) in enumerate(zip(self.runs, self.ranges)):
             watched = WatchedPolicy(run.policy, ranges.of_individuals(there))
             parts.append(
@@ -428,8 +430,11 @@ class _Comparison:
                     **options,
                 )
             )
-            beyond[number, there], inputs[number, there] = watched.shares()
-        return Rollouts.concatenate(parts), beyond.mean(axis=0), inputs.mean(axis=0)
+            beyond[number, there], departures = watched.shares()
+            if ranges.words == words:  # simulators of other folds may perceive other things
+                sides.append(departures)
+        inputs[there] = np.mean(sides, axis=0)
+        return Rollouts.concatenate(parts), beyond.mean(axis=0), inputs
 
     def _thrusts(self, scenario: ChangedWorld) -> dict[str, float]:
         """Find by simulation the thrusts at which wanted speeds are achieved."""
