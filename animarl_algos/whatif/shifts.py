@@ -7,12 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells, share_margins
+from animarl_algos.evaluation.statistics import (
+    Interval,
+    bootstrap_mean,
+    cells,
+    share_margins,
+    student_t,
+)
 from animarl_algos.whatif.extrapolation import Caution
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 
-NORMAL_95 = 1.96
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
 CALIBRATION = {Caution.NONE: 1.0, Caution.SOME: 1.03, Caution.RED: 1.67}
@@ -118,7 +123,8 @@ def chance_error(values: Floats, start: Ints, counts: Bools) -> float:
     several = number > 1
     spread = np.bincount(place, apart**2)[several] / (number[several] - 1)
     within = np.average(spread, weights=number[several])
-    return float(NORMAL_95 * np.sqrt(within / len(values)))
+    freedom = int((number[several] - 1).sum())
+    return float(student_t(0.975, freedom) * np.sqrt(within / len(values)))
 
 
 def widen_shift_of_share(

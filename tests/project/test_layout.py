@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 5_600,
     "animarl_algos.report": 17_080,
     "animarl_algos.runs": 14_120,
-    "animarl_algos.whatif": 19_270,
+    "animarl_algos.whatif": 19_300,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 16_910,
     "animarl_envs.demos": 9_190,

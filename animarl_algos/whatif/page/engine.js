@@ -1039,6 +1039,7 @@ const AnimaRL = (() => {
   const T975 = [12.71, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179,
     2.16, 2.145, 2.131, 2.12, 2.11, 2.101, 2.093, 2.086, 2.08, 2.074, 2.069, 2.064, 2.06, 2.056,
     2.052, 2.048, 2.045, 2.042];
+  const student = (freedom) => T975[freedom - 1] || 1.96 + 2.4 / freedom;
 
   /**
    * Mean of paired differences with Student's 95 % interval over recordings: units[start] is the
@@ -1055,7 +1056,7 @@ const AnimaRL = (() => {
     const mean = all.reduce((sum, [part]) => sum + part, 0) / counts;
     if (n < 2) return { mean, low: NaN, high: NaN };
     const square = all.reduce((sum, [part, count]) => sum + (part - count * mean) ** 2, 0) / (n - 1);
-    const half = (T975[n - 2] || 1.96 + 2.4 / n) * Math.sqrt(square * n) / counts;
+    const half = student(n - 1) * Math.sqrt(square * n) / counts;
     return { mean, low: mean - half, high: mean + half };
   }
 
@@ -1072,7 +1073,7 @@ const AnimaRL = (() => {
       const middle = average(values);
       return sum + (values.length / of) * values.reduce((square, one) => square + (one - middle) ** 2, 0) / (values.length - 1);
     }, 0);
-    return { mean: average(all.flat()), error: several.length ? 1.96 * Math.sqrt(within / count) : NaN };
+    return { mean: average(all.flat()), error: several.length ? student(of - several.length) * Math.sqrt(within / count) : NaN };
   }
 
   /** Return the action that pushes individual i most nearly along (x, y) of the arena frame. */

@@ -29,7 +29,7 @@ from animarl_algos.whatif.extrapolation import (
     describe_departures,
     others_in_order,
 )
-from animarl_algos.whatif.shifts import NO_INTERVAL, judge, share_as_large
+from animarl_algos.whatif.shifts import NO_INTERVAL, chance_error, judge, share_as_large
 from animarl_algos.whatif.thrust_search import ThrustSearch
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
@@ -641,3 +641,12 @@ def test_the_truth_in_the_unchanged_world_is_like_the_recordings(name: str) -> N
     assert (made.lengths - 1).mean() * made.dt == pytest.approx(seconds, rel=0.55)
     starts = made.positions[made.offsets[:-1]]
     assert np.allclose(starts, test.positions[test.offsets[:-1]][made.demo], atol=1e-5)
+
+
+def test_the_error_of_chance_is_that_of_other_rollouts_from_the_same_starts() -> None:
+    rng, starts = np.random.default_rng(0), np.repeat(np.arange(6), 4)
+    middle, counts = 10.0 * np.arange(6)[starts], np.ones(24, dtype=bool)
+    drawn = [middle + rng.normal(size=24) for _ in range(400)]
+    near = [abs((one - middle).mean()) <= chance_error(one, starts, counts) for one in drawn]
+    assert 0.92 < np.mean(near) < 0.98
+    assert np.isnan(chance_error(middle[:6], np.arange(6), counts[:6]))
