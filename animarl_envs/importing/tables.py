@@ -297,11 +297,11 @@ class Table(Layout):
         columns = {name: self.names.index(name) for name in numbers}
         lines = io.TextIOWrapper(self._rows(), UTF_8, errors="replace", newline="")
         with lines, contextlib.suppress(csv.Error):
-            rows = csv.reader(lines, delimiter=between)
+            rows, begins = csv.reader(lines, delimiter=between), self.first + 1
             for cells in rows:
+                line, begins = f"line {begins}", self.first + rows.line_num + 1
                 if not any(cell.strip() for cell in cells):
                     continue
-                line = f"line {self.first + rows.line_num}"
                 if len(cells) != len(self.names):
                     yield _wrong_length(line, len(cells), len(self.names))
                     continue

@@ -85,7 +85,7 @@ BUDGETS = {
     "animarl_envs.demos": 9_190,
     "animarl_envs.drawing": 10_070,
     "animarl_envs.fitting": 14_290,
-    "animarl_envs.importing": 54_630,
+    "animarl_envs.importing": 54_650,
     "animarl_envs.species": 6_970,
     "animarl_envs.views": 5_780,
     "animarl_envs.worlds": 36_300,
