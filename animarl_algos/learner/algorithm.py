@@ -646,11 +646,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """Make ``gradient_steps`` updates on sequences from the replay memory."""
         buffer, policy, terms = self._require_buffer(), self.policy, self.recipe.online
         self._update_learning_rate(policy.optimizer)
-        progress = 1.0 - self._current_progress_remaining
         phase = self.settings.phase("online")
         needs_target = any(term.needs_target for term in terms)
         for _ in range(gradient_steps):
-            batch = buffer.sample(batch_size, progress)
+            batch = buffer.sample(batch_size, 1.0 - self._current_progress_remaining)
             minibatch = minibatch_values(policy, batch, phase, needs_target=needs_target)
             losses, priorities = update(
                 minibatch, terms, policy.optimizer, prioritized=buffer.prioritized
@@ -660,6 +659,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
             if (logits := minibatch.treatment_logits) is not None:
                 counts = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
                 self.treatment_counts = self.treatment_counts + counts
+            self.logger.record_mean("train/loss", minibatch.total)
             for name, loss in losses.items():
                 for individual, value in zip(self.layout.individuals, loss.tolist()):
                     self.logger.record_mean(f"train/{name}/{individual}", value)

@@ -179,7 +179,8 @@ def update(
     if not summed:
         raise InputError(f"all {phase.name} loss weights are 0: set at least one above 0")
     total = functools.reduce(torch.add, summed)
-    if not math.isfinite(total.item()):
+    minibatch.total = total.item()
+    if not math.isfinite(minibatch.total):
         rate = "learning_rate" if phase.name == "online" else "offline_learning_rate"
         by_name = ", ".join(f"{name} {loss.detach().tolist()}" for name, loss in losses.items())
         raise InputError(

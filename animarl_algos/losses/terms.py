@@ -72,6 +72,7 @@ class MinibatchValues:
     parameters: Sequence[torch.Tensor]  # the online network's, each (K, ...)
     successors: Any = None
     shared: Sequence[torch.Tensor] = ()  # those of them that all individuals have in common
+    total: float = 0.0  # weighted sum of all terms but weight decay, set by an update
     errors: torch.Tensor | None = None  # (K, T, B), absolute, set by temporal differences
 
     @property

@@ -25,6 +25,10 @@ from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 
 
+def read_flies(file: Path) -> Rollouts:
+    return read_submission(file, "fly", load_packaged("fly"))
+
+
 @pytest.fixture(scope="module")
 def submission(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Random actions from the packaged fly's test starts."""
@@ -72,13 +76,13 @@ def moved(rollout: int, change: Callable[[Any], Any]) -> Change:
 
 
 def test_benchmark_refuses_what_is_no_submission(submission: Path, tmp_path: Path) -> None:
-    refuses("--species cat: choose among", read_submission, submission, "cat")
+    refuses("--species cat: choose among", score_submission, submission, "cat")
     (tmp_path / "text.npz").write_text("no archive")
     with pytest.raises(InputError, match=r"text\.npz: it is not a plain npz archive"):
-        read_submission(tmp_path / "text.npz", "fly")
+        read_flies(tmp_path / "text.npz")
     test = load_packaged("fly").select(split="test")
     with pytest.raises(InputError, match="holds no rollouts of this project"):
-        read_submission(test.save(tmp_path / "recorded.npz"), "fly")
+        read_flies(test.save(tmp_path / "recorded.npz"))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +103,7 @@ def test_numbers_of_a_submission_are_checked_before_they_are_cast(
     arrays[key][1] = value
     bad = tmp_path / "bad.npz"
     np.savez(bad, **arrays)
-    assert refuses(said, read_submission, bad, "fly").startswith(f"{bad}: ")
+    assert refuses(said, read_flies, bad).startswith(f"{bad}: ")
 
 
 def test_rollouts_that_were_told_another_condition_are_left_out(
@@ -108,7 +112,7 @@ def test_rollouts_that_were_told_another_condition_are_left_out(
     made = Rollouts.load(submission)
     told = replace(made, cue=1 - made.condition, repetition=made.repetition + 2)
     both = Rollouts.concatenate([made, told]).save(tmp_path / "both.npz")
-    assert len(read_submission(both, "fly")[0]) == len(made)
+    assert len(read_flies(both)) == len(made)
 
 
 @pytest.mark.filterwarnings("error")
@@ -131,7 +135,7 @@ def test_submissions_begin_at_test_starts(
 ) -> None:
     """Refused in a sentence that names the file and the rollout, and nothing overflows."""
     bad = damage(submission, tmp_path / "bad.npz", change)
-    assert refuses(said, read_submission, bad, "fly").startswith(f"{bad}: ")
+    assert refuses(said, read_flies, bad).startswith(f"{bad}: ")
 
 
 def test_submissions_are_refused_by_the_command(

@@ -64,7 +64,7 @@ def test_trackers_get_scalars_and_the_model(tmp_path: Path) -> None:
     assert writer.scalars.keys() >= {
         "rollout/ep_rew_mean", "rollout/ep_len_mean", "rollout/exploration_rate", "time/fps",
         "time/episodes", "time/total_timesteps", "time/time_elapsed", "train/learning_rate",
-        "train/n_updates",
+        "train/n_updates", "train/loss",
     }  # fmt: skip
     steps = [step for step, _ in writer.scalars["rollout/ep_rew_mean"]]
     assert steps == sorted(steps) and steps[-1] <= 400
