@@ -108,7 +108,8 @@ def _outcome(name: str, path: Path, aim: Path, clean: Any, damage: Damage) -> tu
     try:
         found = target.read(path)
     except InputError as error:
-        one_line = str(error) and "\n" not in str(error)
+        sentences = getattr(error, "sentences", [str(error)])
+        one_line = all(one and "\n" not in one for one in sentences)
         return ("refused", str(error)) if one_line else ("traceback", "not a sentence")
     except Exception as error:  # the very thing that is looked for
         return "traceback", f"{type(error).__name__}: {error}"

@@ -80,7 +80,7 @@ def test_every_entry_equals_the_demonstrations() -> None:
     for batch in dataset.batches(2, np.random.default_rng(0)):
         assert batch.burn_in == 0 and not batch.starts.any()
         assert batch.num_steps == int(batch.lengths.max())
-        assert (batch.weights == 1).all()
+        assert batch.weights is None
         for k in range(3):
             for b in range(batch.batch_size):
                 episode = int(batch.indices[k, b])

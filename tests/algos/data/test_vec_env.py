@@ -312,4 +312,4 @@ def test_a_recipe_that_is_none_is_refused() -> None:
     with pytest.raises(InputError, match="cloning is 'exactly': choose among chosen, exact, exac"):
         RunSettings(species="fly", steps=1, cloning="exactly")
     listed = describe_fields(RunSettings)["cloning"]
-    assert len(set(CLONINGS)) == 9 and all(f" {name}," in listed for name in CLONINGS)
+    assert len(set(CLONINGS)) == 10 and all(f" {name}," in listed for name in CLONINGS)
