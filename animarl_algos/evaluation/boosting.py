@@ -17,11 +17,11 @@ from animarl_envs.compiling import jit
 
 LEVELS = 64  # of a feature
 TREES = 50
-RATE = 0.1  # of what a leaf says, how much is added
+LEARNING_RATE = 0.1  # of what a leaf says, how much is added
 LEAVES = 8
-FEWEST = 10  # samples of a leaf
-RIDGE = 1.0
-LEAST_CURVATURE = 1e-3  # of the loss in a leaf
+MIN_LEAF_SAMPLES = 10
+L2_PENALTY = 1.0
+MIN_LEAF_CURVATURE = 1e-3  # of the loss in a leaf
 COUNT, SLOPE, CURVATURE = 0, 1, 2
 
 Levels = NDArray[np.uint8]
@@ -80,7 +80,7 @@ def _fit(levels, positive, weight):  # type: ignore[no-untyped-def]
             total[0, SLOPE] += slope[i]
             total[0, CURVATURE] += curvature[i]
         total[0, COUNT], begin[0], end[0] = samples, 0, samples
-        if samples >= 2 * FEWEST:
+        if samples >= 2 * MIN_LEAF_SAMPLES:
             _add_up(levels, rows, slope, curvature, sums[0])
             gain[0] = _find_split(sums[0], total[0], best[0], best_left[0])
         number, leaves = 1, 1
@@ -116,11 +116,13 @@ def _fit(levels, positive, weight):  # type: ignore[no-untyped-def]
             _add_up(levels, rows[begin[small] : end[small]], slope, curvature, sums[small])
             sums[large] = sums[node] - sums[small]
             for one in (first, second):
-                if total[one, COUNT] >= 2 * FEWEST:
+                if total[one, COUNT] >= 2 * MIN_LEAF_SAMPLES:
                     gain[one] = _find_split(sums[one], total[one], best[one], best_left[one])
         for leaf in range(number):
             if feature[tree, leaf] < 0:
-                value[tree, leaf] = -RATE * total[leaf, SLOPE] / (total[leaf, CURVATURE] + RIDGE)
+                value[tree, leaf] = (
+                    -LEARNING_RATE * total[leaf, SLOPE] / (total[leaf, CURVATURE] + L2_PENALTY)
+                )
                 for i in range(begin[leaf], end[leaf]):
                     score[rows[i]] += value[tree, leaf]
     return feature, threshold, child, value
@@ -159,7 +161,7 @@ def _add_up(levels, rows, slope, curvature, sums):  # type: ignore[no-untyped-de
 @jit
 def _find_split(sums, total, best, best_left):  # type: ignore[no-untyped-def]
     """Return the gain of the best split of a node, and write where it is and what lies left."""
-    before = total[SLOPE] ** 2 / (total[CURVATURE] + RIDGE)
+    before = total[SLOPE] ** 2 / (total[CURVATURE] + L2_PENALTY)
     most = 0.0
     for column in range(sums.shape[0]):
         count = slope = curvature = 0.0
@@ -169,12 +171,15 @@ def _find_split(sums, total, best, best_left):  # type: ignore[no-untyped-def]
             count += sums[column, level, COUNT]
             slope += sums[column, level, SLOPE]
             curvature += sums[column, level, CURVATURE]
-            if total[COUNT] - count < FEWEST or total[CURVATURE] - curvature < LEAST_CURVATURE:
+            if (
+                total[COUNT] - count < MIN_LEAF_SAMPLES
+                or total[CURVATURE] - curvature < MIN_LEAF_CURVATURE
+            ):
                 break
-            if count < FEWEST or curvature < LEAST_CURVATURE:
+            if count < MIN_LEAF_SAMPLES or curvature < MIN_LEAF_CURVATURE:
                 continue
-            gain = slope**2 / (curvature + RIDGE) - before
-            gain += (total[SLOPE] - slope) ** 2 / (total[CURVATURE] - curvature + RIDGE)
+            gain = slope**2 / (curvature + L2_PENALTY) - before
+            gain += (total[SLOPE] - slope) ** 2 / (total[CURVATURE] - curvature + L2_PENALTY)
             if gain > most:
                 most = gain
                 best[0], best[1] = column, level

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation import order_in_time, statistics
-from animarl_algos.evaluation.boosting import FEWEST, LEVELS, BoostedTrees, Levels
+from animarl_algos.evaluation.boosting import LEVELS, MIN_LEAF_SAMPLES, BoostedTrees, Levels
 from animarl_algos.evaluation.metrics import ORDER_METRICS
 from animarl_algos.evaluation.prepared import WINDOW, Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -347,7 +347,7 @@ def classify(
             if len(np.unique(here)) < 2:
                 continue
             score = BoostedTrees.fit(values[~test], left).score
-            splits |= len(left) >= 2 * FEWEST
+            splits |= len(left) >= 2 * MIN_LEAF_SAMPLES
             won, met = _compare(score(values[test]), here, there, len(names))
             wins += won
             pairs += met

@@ -1,6 +1,5 @@
 """Updates: when they are due, and one gradient step on a minibatch."""
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -178,7 +177,7 @@ def update(
     ]
     if not summed:
         raise InputError(f"all {phase.name} loss weights are 0: set at least one above 0")
-    total = functools.reduce(torch.add, summed)
+    total = sum(summed[1:], summed[0])
     minibatch.total = total.item()
     if not math.isfinite(minibatch.total):
         rate = "learning_rate" if phase.name == "online" else "offline_learning_rate"
@@ -265,7 +264,7 @@ def standardise_inputs(policy: GruPolicy, buffer: SequenceReplayBuffer, *, done:
     What was standardised before, in the offline phase too, stays, and so do the inputs that a
     network has learned from in an offline phase as they were: ``done`` says that it is over.
     """
-    if done or policy.q_net.standardised:
+    if done or torch.isfinite(policy.q_net.input_limit).all():
         return
     mean, sd = (torch.from_numpy(each).to(policy.device) for each in buffer.moments())
     for network in (policy.q_net, policy.q_net_target):

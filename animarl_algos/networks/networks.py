@@ -94,14 +94,9 @@ class QOutput:
     initial_state: torch.Tensor | None  # (K, B, H), before the first step
     packing: Packing  # of the features
     recurrent: bool  # whether the features are states
-    num_actions: int
     treatment_logits: torch.Tensor | None  # (K, T, B), of treatment 1, through gradient reversal
     dueling: DuelingHead
     units: torch.Tensor  # (K, row, 2H), of the head, or what it sees
-
-    @property
-    def _quantiles(self) -> int:
-        return self.dueling.num_quantiles
 
     @cached_property
     def head(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -111,13 +106,13 @@ class QOutput:
     @cached_property
     def _values(self) -> torch.Tensor:
         """Quantiles of all action values, (K, row, actions, quantiles)."""
-        if self._quantiles == 1 and self.dueling.hidden is None:
+        if self.dueling.num_quantiles == 1 and self.dueling.hidden is None:
             return self.dueling.expected_values(self.units).unsqueeze(-1)
         units, weight, bias = self.head
         return self._per_action(torch.baddbmm(bias, units, weight))
 
     def _per_action(self, flat: torch.Tensor) -> torch.Tensor:
-        return flat.view(*flat.shape[:-1], self.num_actions, -1)
+        return flat.view(*flat.shape[:-1], self.dueling.num_actions, -1)
 
     @cached_property
     def values(self) -> torch.Tensor:
@@ -130,7 +125,7 @@ class QOutput:
     @cached_property
     def q_values(self) -> torch.Tensor:
         """Expected values of all actions, (K, T, B, actions)."""
-        if self._quantiles == 1:
+        if self.dueling.num_quantiles == 1:
             return self.packing.unpack(self._values.squeeze(-1))
         weight, bias = (self._per_action(each).mean(-1) for each in self.head[1:])
         return self.packing.unpack(torch.baddbmm(bias, self.head[0], weight))
@@ -138,9 +133,9 @@ class QOutput:
     def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Quantiles of one action's value at each step: (K, T, B) to (K, T, B, quantiles)."""
         packed = self.packing.pack(actions)
-        if self._quantiles == 1 or not runs_compiled(self.features):
+        if self.dueling.num_quantiles == 1 or not runs_compiled(self.features):
             return self.packing.unpack(take_action(self._values, packed))
-        return self.packing.unpack(chosen_values(*self.head, packed, self._quantiles))
+        return self.packing.unpack(chosen_values(*self.head, packed, self.dueling.num_quantiles))
 
     @property
     def hidden(self) -> torch.Tensor:
@@ -277,13 +272,15 @@ class StackedQNetwork(nn.Module):
 
     @cached_property
     def standardised(self) -> bool:
-        """Whether inputs are standardised: without a limit, mean and sd are 0 and 1."""
-        return bool(torch.isfinite(self.input_limit).all())
+        """Whether the statistics change inputs."""
+        limited = torch.isfinite(self.input_limit).any()
+        return bool(limited or self.input_mean.any() or (self.input_sd != 1.0).any())
 
     @torch.no_grad()
     def amplify_inputs(self, components: Sequence[int], gains: NDArray[np.floating]) -> None:
         """See these components of the observation ``gains`` times as far from their mean."""
         self.input_sd[:, :, list(components)] /= torch.as_tensor(gains).to(self.input_sd)
+        self.__dict__.pop("standardised", None)
 
     def _encode(
         self,
@@ -348,10 +345,7 @@ class StackedQNetwork(nn.Module):
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
-        return QOutput(
-            *(features, state, packing, self.recurrent, self.num_actions, logits),
-            *(self.dueling, units),
-        )
+        return QOutput(features, state, packing, self.recurrent, logits, self.dueling, units)
 
     def _first_values(self, observations: torch.Tensor) -> torch.Tensor:
         """Return expected values (S, actions) of observations (S, n) at the start of episodes."""

@@ -23,10 +23,10 @@ def test_trees_are_those_of_scikit_learn(number: int) -> None:
     new, _ = samples(500, 1)
     theirs = ensemble.HistGradientBoostingClassifier(
         max_iter=boosting.TREES,
-        learning_rate=boosting.RATE,
+        learning_rate=boosting.LEARNING_RATE,
         max_leaf_nodes=boosting.LEAVES,
-        min_samples_leaf=boosting.FEWEST,
-        l2_regularization=boosting.RIDGE,
+        min_samples_leaf=boosting.MIN_LEAF_SAMPLES,
+        l2_regularization=boosting.L2_PENALTY,
         max_bins=LEVELS,
         early_stopping=False,
     )
@@ -40,11 +40,11 @@ def test_trees_are_those_of_scikit_learn(number: int) -> None:
 
 
 def test_few_samples_are_not_split_and_classes_weigh_alike() -> None:
-    levels, positive = samples(2 * boosting.FEWEST - 1, 0)
+    levels, positive = samples(2 * boosting.MIN_LEAF_SAMPLES - 1, 0)
     assert np.ptp(BoostedTrees.fit(levels, positive).score(levels)) == 0
     rare = np.arange(1000) < 50
     same = np.zeros((1000, 3), dtype=np.uint8)
     assert np.abs(BoostedTrees.fit(same, rare).score(same)).max() < 1e-6
-    told = np.column_stack([rare, same]).astype(np.uint8)
-    scores = BoostedTrees.fit(told, rare).score(told)
+    levels = np.column_stack([rare, same]).astype(np.uint8)
+    scores = BoostedTrees.fit(levels, rare).score(levels)
     assert scores[rare].min() > 2.0 and scores[~rare].max() < -2.0

@@ -395,3 +395,11 @@ def test_packing_keeps_every_valid_step_in_any_order(order: list[int]) -> None:
     assert torch.equal(restored[valid], observations[valid])
     if order == [0, 1, 2, 3]:
         assert packing.active.tolist() == [4, 4, 3, 3, 2, 2, 1]
+
+
+def test_amplified_inputs_count_without_a_limit_too() -> None:
+    network, observations = StackedQNetwork(("a",), 3, 4, recurrent=False), torch.eye(3)
+    expected = network(3.0 * observations)
+    assert not torch.equal(network(observations), expected)
+    network.amplify_inputs([0, 1, 2], np.array([3.0]))
+    torch.testing.assert_close(network(observations), expected)
