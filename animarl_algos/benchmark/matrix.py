@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from animarl_algos.benchmark.pieces import Cell, FittedWorld, Piece, Scoring
+from animarl_algos.evaluation.own_measures import register_measures
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES, named_recipe
@@ -86,6 +87,8 @@ class Matrix(Checked):
     """Rollouts from each test start."""
     resamples: Count = RESAMPLES
     """Of the intervals."""
+    measures: Names = ()
+    """Of your own, FILE.py:FUNCTION, beside the others; their files are run."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -251,6 +254,7 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
     demonstrations, a method with the name of a row, and nothing to do.
     """
     methods = methods or {}
+    register_measures(matrix.measures)
     for name in methods:
         if name in (*RECIPES, *matrix.references):
             raise InputError(f"--method {name}: there is a row of that name: choose another")
@@ -268,7 +272,10 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
     rows: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         rows.setdefault((cell.data, cell.method), []).append(cell)
-    scorings = [Scoring(cells=tuple(row), resamples=matrix.resamples) for row in rows.values()]
+    scorings = [
+        Scoring(cells=tuple(row), resamples=matrix.resamples, measures=matrix.measures)
+        for row in rows.values()
+    ]
     return Plan(matrix, tuple(worlds), tuple(cells), tuple(scorings))
 
 

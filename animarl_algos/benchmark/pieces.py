@@ -29,6 +29,7 @@ from threadpoolctl import threadpool_limits
 from animarl_algos.benchmark import methods
 from animarl_algos.benchmark.scores import Score, crossed_score, score
 from animarl_algos.evaluation.collect import Cue, collect_rollouts
+from animarl_algos.evaluation.own_measures import measure_source, register_measures
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
@@ -220,6 +221,7 @@ class Scoring(Piece):
     STAGE, RESULT = "scores", "score.json"
     cells: tuple[Cell, ...]
     resamples: int
+    measures: tuple[str, ...] = ()
 
     @property
     def data(self) -> str:
@@ -233,8 +235,10 @@ class Scoring(Piece):
 
     @cached_property
     def key(self) -> str:
-        """A hash of the cells."""
-        return _hash_of({"cells": [cell.key for cell in self.cells], "resamples": self.resamples})
+        """A hash of the cells, and of the files of measures."""
+        own = {name: measure_source(name) for name in self.measures}
+        measured = {"cells": [cell.key for cell in self.cells], "resamples": self.resamples}
+        return _hash_of(measured | ({"measures": own} if own else {}))
 
     def ready(self, out: Path) -> bool:
         """Return whether all cells are finished."""
@@ -242,6 +246,7 @@ class Scoring(Piece):
 
     def perform(self, out: Path) -> None:
         """Measure the rollouts of all cells together."""
+        register_measures(self.measures)
         first = self.cells[0]
         made = [(cell.world_run(out).demos, cell.rollouts(out)) for cell in self.cells]
         joined = Rollouts.concatenate([rollouts for _, rollouts in made], first.method)

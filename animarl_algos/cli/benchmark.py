@@ -26,6 +26,7 @@ from animarl_algos.benchmark.matrix import (
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import BACKENDS, Piece, perform_all
 from animarl_algos.benchmark.scores import score_submission
+from animarl_algos.cli.evaluate import MEASURE
 from animarl_algos.cli.shared import PlainConsole, command_line, with_help
 from animarl_algos.evaluation.statistics import interval
 from animarl_algos.report.words import number, with_interval
@@ -45,6 +46,7 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
     species="Only these of the matrix; repeatable.",
     only="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'.",
     method="Your own method, NAME=module:factory; repeatable.",
+    measure=MEASURE,
     processes="Number of processes, one thread each.",
     backend="loky (processes of this machine) or ray (a Ray cluster that 'ray start' made).",
     show=typer.Option("--list", help="List what would be done, and stop."),
@@ -57,6 +59,7 @@ def benchmark_command(
     species: list[str] | None = None,
     only: list[str] | None = None,
     method: list[str] | None = None,
+    measure: list[str] | None = None,
     processes: int = 1,
     backend: str = BACKENDS[0],
     show: bool = False,
@@ -94,6 +97,8 @@ def benchmark_command(
             species=tuple(s for s in matrix.species if s in species),
             files={name: file for name, file in matrix.files.items() if name in species},
         )
+    if measure:
+        matrix = matrix.changed(measures=(*matrix.measures, *measure))
     methods = dict(parse_method(given) for given in method or [])
     whole = plan(matrix, methods, matrix_file(preset, config))
     wanted = whole.only(only or [])

@@ -31,6 +31,13 @@ SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts"
 QUICK = {"thrusts": "1", "acting": "boltzmann:1"}
 QUICK_EPOCHS = 6
 OTHERS = {
+    "choose_by": shared.option(
+        "choose_by",
+        list[str] | None,
+        None,
+        "FILE.py:FUNCTION as --measure; the choice of acting judges rollouts by it, too. "
+        "Repeatable.",
+    ),
     "context": shared.CONTEXT,
     "details": shared.option("details", bool, False, DETAILS),
     "env": shared.option(
@@ -132,7 +139,7 @@ def _options(names: str) -> list[inspect.Parameter]:
     _options(
         "file env species algo preset steps seed out source copies focal neighbours policy device "
         "config cloning fit_method thrusts acting repetitions folds processes baselines quick "
-        "tolerance primary measure details settings"
+        "tolerance primary measure choose_by details settings"
     )
 )
 def run_command(**given: Any) -> None:
@@ -176,6 +183,7 @@ def run_command(**given: Any) -> None:
             console.print(f"WARNING: {sentence}", style="bold yellow")
 
     register_measures(given["measure"])
+    register_measures(given["choose_by"], chooses=True)
     questions = Questions.parse(given["tolerance"] or (), given["primary"] or ())
     run, folds = _open(given)
     questions.check(run.demos)
@@ -218,7 +226,7 @@ def run_command(**given: Any) -> None:
 @shared.with_options(
     _options(
         "context file env species algo preset steps seed out resume source copies focal neighbours "
-        "policy device config cloning fit_method thrusts acting settings"
+        "policy device config cloning fit_method thrusts acting choose_by settings"
     )
 )
 def train_command(context: typer.Context, **given: Any) -> None:
@@ -234,9 +242,11 @@ def train_command(context: typer.Context, **given: Any) -> None:
 
       animarl train --env AnimaRL/Agent-v0 --algo dqn --focal prey --policy MlpPolicy
     """
+    from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run import Run
 
+    register_measures(given["choose_by"], chooses=True)
     if given["resume"] is not None:
         _refuse_beside_resume(context)
         run = Run(given["resume"])
@@ -306,12 +316,12 @@ def _open(given: dict[str, Any]) -> tuple[Run, int]:
 
 
 def _refuse_beside_resume(context: typer.Context) -> None:
-    """Refuse options other than ``--steps`` and ``--device`` beside ``--resume``."""
+    """Refuse options that would change the settings of the run that ``--resume`` goes on with."""
     written = {"file": "FILE", "settings": "--set"}
     for name in context.params:
         source = context.get_parameter_source(name)
         given = source is not None and source.name == "COMMANDLINE"
-        if given and name not in ("resume", "steps", "device"):
+        if given and name not in ("resume", "steps", "device", "choose_by"):
             flag = written.get(name, f"--{name.replace('_', '-')}")
             raise InputError(
                 f"{flag} does not go with --resume, which keeps the settings of the run: "

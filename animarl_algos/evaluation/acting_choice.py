@@ -5,8 +5,9 @@ the temperatures that fit the demonstrated actions best, and the greedy rule; wh
 comes near, also sampling at one share for how hard and another for which way. Each is rolled out
 from the starts of training and validation episodes, never of a test episode, and judged by the
 likelihoods of the realism score (:mod:`animarl_algos.evaluation.realism`): motion, order in time,
-reactions, place and endings. Rollouts stop where their recording merely stops. They are made in
-rounds, with other random numbers each, until two halves of the rounds choose the same.
+reactions, place and endings, and the user's own measures where ``--choose-by`` names some. Rollouts
+stop where their recording merely stops. They are made in rounds, with other random numbers each,
+until two halves of the rounds choose the same.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
+from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import Likelihood
 from animarl_algos.learner.progress import progress_display
@@ -129,7 +131,8 @@ def choose_acting(
     seed, cue
         Of the worlds, and what policies are told of the condition.
     """
-    realism = Likelihood.of(Prepared(demos))
+    taking_part = [metric for metric in METRICS if metric.chooses]
+    realism = Likelihood.of(Prepared(demos), own=taking_part)
     repetitions = max(1, round(ROLLOUTS / demos.num_episodes))
     others = realism.of_others(repetitions, np.random.default_rng(seed))
     tried: dict[Acting, list[Floats]] = {rule: [] for rule in rules}

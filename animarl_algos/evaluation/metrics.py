@@ -90,6 +90,8 @@ class Metric:
         spread too, and the energy score is worked out.
     own
         Of a measure of the user's own: its values of any rollouts, by the scale of an arena unit.
+    chooses
+        Of such a measure: the choice of acting judges rollouts by it, too.
     """
 
     key: str
@@ -112,6 +114,7 @@ class Metric:
     too_little: str = ""
     noun: str = ""
     own: Callable[[Rollouts, float], Floats] | None = None
+    chooses: bool = False
 
     @property
     def is_share(self) -> bool:

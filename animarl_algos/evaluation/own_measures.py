@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +27,25 @@ from animarl_envs.errors import InputError
 OwnFunction = Callable[..., Any]
 
 
-def register_measures(named: Iterable[str] | None) -> list[Metric]:
+def register_measures(named: Iterable[str] | None, *, chooses: bool = False) -> list[Metric]:
     """Load functions named ``FILE.py:FUNCTION`` and register each as a metric.
 
-    Their files are run. One that was registered before under the same name is replaced. Raises
-    InputError if a file or a function is not there, or the name is that of another metric.
+    Their files are run. One that was registered before under the same name is replaced. With
+    ``chooses`` the choice of acting judges rollouts by them, too. Raises InputError if a file or a
+    function is not there, or the name is that of another metric.
     """
     metrics = []
     for name in named or ():
-        metric = own_metric(load_function(name), name)
+        metric = replace(own_metric(load_function(name), name), chooses=chooses)
         METRICS[:] = [one for one in METRICS if one.own is None or one.key != metric.key]
         add_metric(metric)
         metrics.append(metric)
     return metrics
+
+
+def measure_source(name: str) -> str:
+    """Return the text of the file that ``FILE.py:FUNCTION`` names."""
+    return Path(name.rpartition(":")[0]).read_text("utf-8")
 
 
 def load_function(name: str) -> OwnFunction:

@@ -10,7 +10,7 @@ Beside it stand the score of the recording itself (ceiling), of others, and of r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from animarl_algos.evaluation.metrics import (
     ORDER,
     ORDER_METRICS,
     PLACE,
+    Metric,
 )
 from animarl_algos.evaluation.order_in_time import Series, plain_name
 from animarl_algos.evaluation.prepared import Prepared
@@ -32,13 +33,14 @@ from animarl_algos.evaluation.statistics import Draws, Interval
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.demos.episode import UNFINISHED
 
-ENDING = "ending"
+ENDING, OWN = "ending", "measures of your own"
 WEIGHTS: Mapping[str, float] = {
     KINEMATIC: 0.2,  # what a two-second window shows, and the easiest to meet
     ORDER: 0.25,  # what two-second windows are blind to
     INTERACTIVE: 0.25,  # what a simulator of several animals is for
     PLACE: 0.15,
     ENDING: 0.15,
+    OWN: 0.25,  # in the choice of acting alone, where asked for
 }
 """Shares of the kinds in the total. A kind that a recording does not have is left out, and the
 others keep their proportions; components of a kind weigh alike."""
@@ -65,18 +67,22 @@ class Likelihood:
     """How likely recordings are under rollouts, component by component.
 
     ``truth`` are the components of the recordings, ``limits`` between which bins of each lie.
+    Measures of the user's ``own`` are components, too.
     """
 
     prepared: Prepared
     truth: tuple[Component, ...]
     limits: tuple[tuple[float, float], ...]
+    own: Sequence[Metric] = ()
 
     @classmethod
-    def of(cls, prepared: Prepared, pool: Rollouts | None = None) -> Likelihood:
+    def of(
+        cls, prepared: Prepared, pool: Rollouts | None = None, own: Sequence[Metric] = ()
+    ) -> Likelihood:
         """Return that of the prepared recordings; limits are those of ``pool``, or of them."""
-        truth = tuple(_components(prepared, prepared.recorded))
-        of_pool = truth if pool is None else _components(prepared, pool)
-        return cls(prepared, truth, tuple(_limits(one.values) for one in of_pool))
+        truth = tuple(_components(prepared, prepared.recorded, own))
+        of_pool = truth if pool is None else _components(prepared, pool, own)
+        return cls(prepared, truth, tuple(_limits(one.values) for one in of_pool), own)
 
     @property
     def names(self) -> list[str]:
@@ -91,9 +97,10 @@ class Likelihood:
     def matrix(self, side: Rollouts, start: Ints) -> Floats:
         """Log likelihoods ``(components, recordings)`` under rollouts from ``start``."""
         recorded = self.prepared.recorded
+        others = _components(self.prepared, side, self.own)
         rows = [
             _likelihood(true, other, limit, start, len(recorded))
-            for true, other, limit in zip(self.truth, _components(self.prepared, side), self.limits)
+            for true, other, limit in zip(self.truth, others, self.limits)
         ]
         return np.log(np.stack([*rows, *_endings(recorded, side, start)]))
 
@@ -224,7 +231,9 @@ def _weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:
     return np.asarray(weights / weights.sum())
 
 
-def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
+def _components(
+    prepared: Prepared, rollouts: Rollouts, own: Sequence[Metric] = ()
+) -> Iterator[Component]:
     """Components of all episodes: of single steps, and of whole episodes what is order in time."""
     gathered: dict[tuple[str, str], list[tuple[Floats, Ints, Ints]]] = {}
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -237,10 +246,18 @@ def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
         yield Component(name, kind, *(np.concatenate(side) for side in zip(*parts)))
     measured = prepared.order(rollouts)
     for name, values in zip(measured.names, measured.values.T):
-        known, metric = np.flatnonzero(np.isfinite(values)), ORDER_METRICS[plain_name(name)]
+        metric = ORDER_METRICS[plain_name(name)]
         if metric.kind == ORDER or metric.whole:
-            alone = np.zeros(len(known), dtype=np.int64)
-            yield Component(name, metric.kind, values[known], known, alone)
+            yield _of_episodes(name, metric.kind, values)
+    episodes = prepared.episodes(rollouts)
+    for metric in own:
+        yield _of_episodes(metric.key, OWN, metric.measure(episodes))
+
+
+def _of_episodes(name: str, kind: str, values: Floats) -> Component:
+    """Return the component of values of whole episodes, ``(episodes,)``, NaN where undefined."""
+    known = np.flatnonzero(np.isfinite(values))
+    return Component(name, kind, values[known], known, np.zeros(len(known), dtype=np.int64))
 
 
 def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str, Floats]]:

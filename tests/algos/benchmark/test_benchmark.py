@@ -31,6 +31,7 @@ from animarl_algos.benchmark.matrix import (
     read_matrix,
 )
 from animarl_algos.benchmark.pieces import LOCK, attempt, perform_all
+from animarl_algos.evaluation.metrics import METRICS
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -320,6 +321,23 @@ def test_benchmark_refuses_other_results(tmp_path: Path) -> None:
     other.mkdir()
     (other / "chapter.txt").write_text("1")
     refuses("no benchmark", claim_folder, other)
+
+
+def test_benchmark_scores_own_measures_anew_where_their_file_changed(tmp_path: Path) -> None:
+    file, out, known = tmp_path / "my_index.py", tmp_path / "out", list(METRICS)
+    code = "def first_x(positions, dt, roles):\n    return positions[:, 0, 0] + {}\n"
+    asked = tiny(references=["recordings"], recipes=[], measures=[f"{file}:first_x"])
+    values = []
+    try:
+        for number in (1, 2):
+            file.write_text(code.format(number))
+            done = run(asked, out, processes=2)
+            assert not done.errors and [name.endswith("score") for name in done.names].count(True)
+            values.append(float(rows_of(out)["recordings"].loc["first_x", "null"]))
+            assert ("first x" in (out / "leaderboard.md").read_text()) and number
+        assert len(done.names) == 1  # nothing is rolled out again
+    finally:
+        METRICS[:] = known
 
 
 def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:

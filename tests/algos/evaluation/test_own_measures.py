@@ -12,6 +12,8 @@ from refusals import refuses
 from animarl_algos.evaluation.conditions import compare_conditions
 from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.own_measures import measured_recordings, register_measures
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.realism import OWN, Likelihood
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import compare
 from animarl_algos.evaluation.verdict_rows import DIFFERS, Questions, Row
@@ -74,6 +76,20 @@ def test_own_measure_stands_in_the_verdict_and_in_what_if(file: Path) -> None:
     assert "First x: mean" in measured_recordings([metric], demos)[0]
     quantity = next(one for one in quantities_of(rollouts, unit_of(demos)) if one.name == "first x")
     assert quantity.unit == "mm" and len(quantity.values(rollouts)) == len(rollouts) != len(lengths)
+
+
+def test_own_measure_takes_part_in_the_choice_of_acting(file: Path) -> None:
+    demos = recorded_pairs()
+    own = register_measures([f"{file}:first_x"], chooses=True)
+    assert own[0].chooses and not register_measures([f"{file}:per_animal"])[0].chooses
+    likelihood = Likelihood.of(Prepared(demos), own=own)
+    rollouts = simulated_pairs(demos, "true")
+    moved = replace(rollouts, positions=rollouts.positions + 0.9)
+    found = [likelihood.components(side) for side in (rollouts, moved)]
+    likely, unlikely = (likelihood.by_kind(each)[OWN] for each in found)
+    assert likely > unlikely + 0.3
+    without = Likelihood.of(Prepared(demos))
+    assert np.array_equal(without.components(moved), found[1][likelihood.kinds != OWN])
 
 
 def test_own_measure_of_each_animal_or_of_none(file: Path) -> None:
