@@ -253,6 +253,7 @@ def describe(hint: Any) -> str:
     return _describe_schema(_adapter(hint).json_schema())
 
 
+@cache
 def describe_fields(kind: type[Checked], ranges: bool = True) -> dict[str, str]:
     """Return what each field of a model means, with ``ranges`` also in brackets what it may be."""
     from pydantic import TypeAdapter
