@@ -24,6 +24,9 @@ LOCK := uv pip compile -q --universal --python-version 3.11.5 --generate-hashes 
 # Two files of tests at a time; the tests of one file share what they make.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
+# Tests start many programs: they would compile the project's files each time.
+unexport PYTHONDONTWRITEBYTECODE
+
 N ?= 20000
 M ?= 10000
 SEED ?= 0
