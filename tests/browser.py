@@ -48,6 +48,33 @@ def listen(page: Any, said: list[str]) -> Any:
     return page
 
 
+CONTROLS = "a[href], button, select, input, summary, [tabindex='0']"
+REACHED = """(selector) => {
+  const all = [...document.querySelectorAll(selector)].filter(
+    (one) => !one.disabled && one.checkVisibility({ visibilityProperty: true }));
+  all.forEach((one, k) => { one.dataset.control = k; });
+  return all.map((one) => one.outerHTML.slice(0, 80));
+}"""
+FOCUSED = """() => {
+  const one = document.activeElement, { outlineStyle, outlineWidth } = getComputedStyle(one);
+  return [one.dataset.control ?? "", outlineStyle !== "none" && parseFloat(outlineWidth) >= 2];
+}"""
+
+
+def unreachable_controls(page: Any) -> list[str]:
+    """Controls that the Tab key does not reach, or that do not show that they have the focus."""
+    controls = dict(enumerate(page.evaluate(REACHED, CONTROLS)))
+    assert controls
+    for _ in range(2 * len(controls)):
+        page.keyboard.press("Tab")
+        number, outlined = page.evaluate(FOCUSED)
+        if number and outlined:
+            controls.pop(int(number), None)
+        if not controls:
+            break
+    return [*controls.values()]
+
+
 def serious_findings(page: Any) -> list[str]:
     """What axe-core finds on a page that is serious or worse; skipped where it is not installed."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")

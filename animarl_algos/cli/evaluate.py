@@ -146,6 +146,11 @@ def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
     change=Option(help="NAME=VALUE, such as prey.speed=+20%; repeatable, applied together."),
     out="Folder for tables, figures and text.",
     repetitions=Option(min=1, help="Rollouts from each start."),
+    fold=Option(
+        min=1,
+        help="Of a cross-validated run, ask the simulator of this fold alone; 1 is the run itself, "
+        "which its page asks. By default all.",
+    ),
     separately=Option("--separately", help="Apply each change by itself."),
     permutations=Option(
         min=0, help="For a condition: train this many networks with shuffled conditions, as a null."
@@ -164,6 +169,7 @@ def whatif_command(
     change: list[str] | None = None,
     out: Path = Path("out/whatif"),
     repetitions: int = 5,
+    fold: int | None = None,
     separately: bool = False,
     permutations: int = 0,
     truth: str | None = None,
@@ -219,7 +225,14 @@ def whatif_command(
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
     if len(loaded) == 1:
-        loaded = run_set.ensemble(loaded[0])
+        loaded = run_set.ensemble(loaded[0], fold)
+        if len(loaded) > 1:
+            console.print(
+                f"The simulators of all {len(loaded)} folds answer; the page of 'animarl page' "
+                "asks that of fold 1 alone, as --fold 1 does here"
+            )
+    elif fold is not None:
+        raise InputError("--fold chooses among the folds of one run: give one run, or leave it out")
     known = None if truth is None else find_truth(truth, loaded[0], repetitions)
     check_changes(loaded, change, separately=separately, truth=known, measures=verdict_measures)
     nulls: list[Run] = []
@@ -280,12 +293,14 @@ def page_command(run: Path, out: Path = Path("what-if.html"), species: str | Non
       animarl page packaged --species agent --out what-if.html
     """
     from animarl_algos.runs.pretrained import load_run
+    from animarl_algos.runs.run_set import ensemble
     from animarl_algos.whatif.live_page import write_page
 
     packaged = str(run) == PACKAGED and not run.exists()
     if species is not None and not packaged:
         raise InputError(f"--species {species} goes with 'packaged': leave it out for {run}")
-    file = write_page(load_run((species or "agent") if packaged else run), out)
+    loaded = load_run((species or "agent") if packaged else run)
+    file = write_page(loaded, out, folds=len(ensemble(loaded)))
     PlainConsole().print(f"{file}: open it in a browser")
 
 

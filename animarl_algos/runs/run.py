@@ -635,14 +635,17 @@ class Run:
             state = (memory, np.maximum(actions[t], 0))
         return np.array(values, dtype=np.float64)
 
-    def what_if(self, *changes: str, **options: Any) -> WhatIf:
+    def what_if(self, *changes: str, fold: int | None = None, **options: Any) -> WhatIf:
         """Ask what would happen in a changed world; see :func:`animarl_algos.whatif.answer.ask`.
 
-        ``changes`` are written as ``prey.speed=+20%``; ``options`` are those of ``ask``.
+        Of a run that was cross-validated, the simulators of all folds answer together; ``fold=1``
+        asks that of the run alone. ``changes`` are written as ``prey.speed=+20%``; ``options`` are
+        those of ``ask``.
         """
+        from animarl_algos.runs.run_set import ensemble
         from animarl_algos.whatif.answer import ask
 
-        return ask([self], changes, **options)
+        return ask(ensemble(self, fold), changes, **options)
 
 
 def _cue(model: SequenceQLearning) -> Cue | None:

@@ -211,9 +211,22 @@ def trained_folds(run: Run) -> tuple[Run, ...]:
     return tuple(folds) if trained else ()
 
 
-def ensemble(run: Run) -> list[Run]:
-    """Return a run and the other folds of it: simulators of the same animals to ask together."""
-    return [run, *(fold for fold in trained_folds(run) if fold.path != run.path)]
+def ensemble(run: Run, fold: int | None = None) -> list[Run]:
+    """Return a run and the other folds of it: simulators of the same animals to ask together.
+
+    With ``fold``, return this one alone; the run itself is fold 1.
+
+    Raises InputError if there is no such fold.
+    """
+    simulators = [run, *(other for other in trained_folds(run) if other.path != run.path)]
+    if fold is None:
+        return simulators
+    if not 1 <= fold <= len(simulators):
+        raise InputError(
+            f"{run.path}: there is no fold {fold}: choose one of 1 to {len(simulators)}; the run "
+            "itself is fold 1"
+        )
+    return [simulators[fold - 1]]
 
 
 def _number(folder: Path) -> tuple[int, int]:

@@ -74,10 +74,18 @@ NETWORK_FIELDS = ("sensed", "units", "depth", "recurrent", "skip", "previous_act
 CHASE_SENSES = ("first", "stride", "damping", "push", "own_velocity")
 PLUME_FIELDS = ("rows", "columns", "source_row", "source_column")
 SYNTHETIC = "These recordings are synthetic: they were generated, not recorded from animals."
+ONE_OF_FOLDS = (
+    "This page asks one simulator, that of the run. <code>animarl whatif</code> asks those of all "
+    "{folds} folds, and with <code>--fold 1</code> this one alone."
+)
 
 
-def write_page(run: TrainedRun, file: str | Path, *, title: str | None = None) -> Path:
+def write_page(
+    run: TrainedRun, file: str | Path, *, title: str | None = None, folds: int = 1
+) -> Path:
     """Write the page of a run; nothing is left behind if it cannot be made.
+
+    Of a run that was cross-validated in so many ``folds``, the page says that it asks one.
 
     Raises
     ------
@@ -89,7 +97,7 @@ def write_page(run: TrainedRun, file: str | Path, *, title: str | None = None) -
     model = page_model(run)
     if title is not None:
         model["title"] = title
-    page = _fill(model)
+    page = _fill(model, "" if folds == 1 else f"<p>{ONE_OF_FOLDS.format(folds=folds)}</p>")
     size = len(page.encode())
     if size > MOST_BYTES:
         raise InputError(
@@ -361,7 +369,7 @@ def _plume(species: SearchSpecies) -> dict[str, Any]:
     }
 
 
-def _fill(model: Mapping[str, Any]) -> str:
+def _fill(model: Mapping[str, Any], note: str) -> str:
     """Return the page: template, style, programs and data in one file."""
     folder = resources.files("animarl_algos.whatif") / "page"
     parts = {name: (folder / name).read_text(encoding="utf-8") for name in PARTS}
@@ -369,6 +377,7 @@ def _fill(model: Mapping[str, Any]) -> str:
     texts = {
         "__TITLE__": html.escape(str(model["title"])),
         "__ORIGIN__": f"<p><strong>{SYNTHETIC}</strong></p>" if model["synthetic"] else "",
+        "__FOLDS__": note,
         "__STYLE__": parts["page.css"],
         "__ENGINE__": parts["measures.js"] + parts["engine.js"],
         "__PAGE__": parts["page.js"],

@@ -143,9 +143,18 @@
     one.trail.push(Array.from(world.position));
   }
 
+  /** Where the arrow keys that are held point to. */
+  const pointed = () => [held.has("ArrowRight") - held.has("ArrowLeft"), held.has("ArrowUp") - held.has("ArrowDown")];
+
+  function moveStart(moved, place) {
+    const p = episodes[0].world.position;
+    places = names.map((_, i) => (i === moved ? place : [p[2 * i], p[2 * i + 1]]));
+    begin();
+  }
+
   /** The action of the keys that are held or of the finger; none without either. */
   function steering(world, i) {
-    let x = held.has("ArrowRight") - held.has("ArrowLeft"), y = held.has("ArrowUp") - held.has("ArrowDown");
+    let [x, y] = pointed();
     if (finger) [x, y] = [finger[0] - world.position[2 * i], finger[1] - world.position[2 * i + 1]];
     return x || y ? AnimaRL.actionTowards(world, 0, i, x, y) : model.pushes[i].length - 1;
   }
@@ -283,17 +292,21 @@
   });
   stage.addEventListener("pointermove", (event) => {
     const place = toArena(event);
-    if (dragged >= 0) {
-      const p = episodes[0].world.position;
-      places = names.map((_, i) => (i === dragged ? place : [p[2 * i], p[2 * i + 1]]));
-      begin();
-    } else if (finger) finger = place;
+    if (dragged >= 0) moveStart(dragged, place);
+    else if (finger) finger = place;
   });
   for (const kind of ["pointerup", "pointercancel"]) {
     stage.addEventListener(kind, () => { dragged = -1; finger = null; });
   }
   stage.addEventListener("keydown", (event) => {
-    if (event.key.startsWith("Arrow")) { held.add(event.key); event.preventDefault(); }
+    if (event.key.startsWith("Arrow")) {
+      held.add(event.key);
+      event.preventDefault();
+      const i = Number($("steer").value), { world } = episodes[0], by = 0.02 * reach();
+      if (i >= 0 && !absent.has(i) && world.steps[0] === 0 && !playing) {
+        moveStart(i, pointed().map((sign, axis) => world.position[2 * i + axis] + by * sign));
+      }
+    }
     if (event.key === " ") { $("play").click(); event.preventDefault(); }
   });
   stage.addEventListener("keyup", (event) => held.delete(event.key));

@@ -9,7 +9,7 @@ from threading import Thread
 from urllib.parse import quote, urlencode
 
 import pytest
-from browser import serious_findings
+from browser import serious_findings, unreachable_controls
 from report_inputs import report_page
 
 from animarl_algos.cli import opening
@@ -145,6 +145,7 @@ def test_the_open_page_in_a_browser(server: opening.RunsServer, browser: object)
         assert serious_findings(page) == []
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.className") == "skip"
+    assert unreachable_controls(page) == []
     page.get_by_label("Files of a tracker").fill("tracks.csv")
     page.get_by_label("Name of the result").fill("mine")
     page.get_by_role("button", name="Import").press("Enter")

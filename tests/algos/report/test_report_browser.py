@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import listen, serious_findings
+from browser import listen, serious_findings, unreachable_controls
 from report_inputs import group_page, report_page, whatif_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -116,6 +116,11 @@ def test_it_is_scrubbed_and_moved_by_keys(open_page: Open) -> None:
     page.focus("#start")
     page.keyboard.press(" ")  # a list keeps its own keys
     assert page.inner_text("#play") == "Pause"
+
+
+@pytest.mark.parametrize("name", ["report", "whatif"])
+def test_every_control_is_reached_by_keys_and_shows_it(open_page: Open, name: str) -> None:
+    assert unreachable_controls(open_page(name=name)) == []
 
 
 def test_zoomed_in_the_animals_stay_in_the_middle(open_page: Open) -> None:

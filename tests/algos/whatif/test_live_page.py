@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import listen, serious_findings
+from browser import listen, serious_findings, unreachable_controls
 from commands import animarl
 from refusals import refuses
 from small_runs import few, made
@@ -330,6 +330,22 @@ def test_the_page_answers_to_its_sliders_and_keys(page: Any) -> None:
     page.wait_for_timeout(400)
     answered(page)
     assert "0 [0, 0]" in rows.nth(1).inner_text()
+
+
+def test_the_page_is_worked_by_keys_alone(page: Any) -> None:
+    assert unreachable_controls(page) == []
+    page.focus("#steer")
+    page.keyboard.press("ArrowDown")
+    page.focus("#stage")
+    before = page.evaluate("Array.from(window.animarlPage.episode().world.position)")
+    page.keyboard.press("ArrowLeft")
+    after = page.evaluate("Array.from(window.animarlPage.episode().world.position)")
+    assert after[0] < before[0] and after[1:] == before[1:]
+    page.keyboard.press(" ")
+    assert page.inner_text("#play") == "Pause"
+    page.focus("#restart")
+    page.keyboard.press("Enter")
+    assert page.inner_text("#play") == "Play"
 
 
 def test_a_pursuer_is_taken_away_and_the_last_one_stays(page: Any) -> None:

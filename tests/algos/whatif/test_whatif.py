@@ -13,13 +13,15 @@ import pytest
 from browser import listen
 from commands import animarl
 from pages import python
-from recordings import cut_short
+from recordings import cut_short, group
 from refusals import refuses
+from small_runs import few, made
 
 from animarl_algos import load_run
+from animarl_algos.runs import pipeline, run_set
 from animarl_algos.runs.permuted import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
-from animarl_algos.whatif.absent import FewerWorld, Present
+from animarl_algos.whatif.absent import FewerWorld, Present, simulate_from
 from animarl_algos.whatif.answer import MOST_TRIES, ask
 from animarl_algos.whatif.answer_page import answer_page, findings, save_answers, words
 from animarl_algos.whatif.changes import ChangedWorld, parse_change, parse_scenarios
@@ -402,6 +404,31 @@ def test_what_leaves_the_range_is_told_in_words_of_ethology() -> None:
     assert others_in_order(AGENT, 2) == ["the nearest other", "the second nearest other"]
     assert others_in_order(get_species("shoal"), 0)[3] == "the 4th nearest other"
     assert others_in_order(MOTH, 0) == []
+
+
+@pytest.mark.parametrize("species", ["agent", "custom"])
+def test_the_simulators_of_all_folds_answer_together(species: str, tmp_path: Path) -> None:
+    demos = few(train=4) if species == "agent" else group(2)
+    run = made(tmp_path, "soft-bc", species=species, demos=demos, rolled_out=False)
+    pipeline.cross_validate(run, 3, progress_bar=False)
+    asked = [*map(str, ("whatif", run.path, "--out", tmp_path / "out", "--repetitions", 1))]
+    together, alone = (run.what_if("arena=x1.1", repetitions=1, fold=fold) for fold in (None, 1))
+    each = [
+        simulate_from(fold, run.demos.select(split="test"), reading="habit", repetitions=1)
+        for fold in run_set.trained_folds(run)
+    ]
+    assert (together.runs, alone.runs, len({one.positions.tobytes() for one in each})) == (3, 1, 3)
+    for answer, simulated in ((together, each), (alone, each[:1])):
+        joined = np.concatenate([one.positions for one in simulated])
+        np.testing.assert_array_equal(answer.baseline.positions, joined)
+    assert "all 3 folds answer" in animarl(*asked, "--change", "arena=x1.1")
+    table = pd.read_csv(tmp_path / "out" / "whatif.csv")
+    np.testing.assert_allclose(table["changed"], together.table["changed"])
+    assert "folds answer" not in animarl(*asked, "--change", "arena=x1.1", "--fold", "1")
+    refuses("no fold 4: choose one of 1 to 3", run.what_if, "arena=x1.1", fold=4)
+    if species == "custom":
+        animarl("page", run.path, "--out", tmp_path / "page.html")
+        assert "those of all 3 folds" in (tmp_path / "page.html").read_text()
 
 
 def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
