@@ -342,12 +342,18 @@ class Renderer:
     # -- text -------------------------------------------------------------------------------------
 
     def _write_strip(self, scene: Scene) -> None:
-        """Write two lines below the field: title and time; the return of each individual."""
+        """Write two lines below the field: title and time; the individuals.
+
+        Each individual has its return beside it, except under a title of its own: the animals of
+        recordings get no reward.
+        """
         species, pad = scene.species, 0.03 * self.size
         right, top = self.size - pad, 1.016 * self.size
-        x = self._write(scene.title or species.title, pad, top, palette.TEXT)
+        clock, title = f"{scene.step * species.dt:.1f} s", scene.title or species.title
+        while self._font.size(title + clock)[0] > right - 2 * pad and len(title) > 1:
+            title = f"{title[:-2]}\u2026"
+        x = self._write(title, pad, top, palette.TEXT)
         room = right - pad - x
-        clock = f"{scene.step * species.dt:.1f} s"
         condition = f"  \u00b7  {scene.condition}" if scene.condition else ""
         longer = f"{clock}   step {scene.step}"
         if self._font.size(condition + longer)[0] <= room:
@@ -360,7 +366,9 @@ class Renderer:
             self._write(scene.note, right, top, palette.TEXT, from_right=True)
             right -= self._font.size(scene.note)[0] + pad
         for i, name in enumerate(species.individuals):
-            label, left = f"{name}  {scene.rewards[i]:+.1f}", len(species.individuals) - i
+            label, left = name, len(species.individuals) - i
+            if not scene.title:
+                label += f"  {scene.rewards[i]:+.1f}"
             more = f"and {left} more"
             width = self._font.size(label)[0] + 0.03 * self.size
             if x + width + (self._font.size(more)[0] if left > 1 else 0) > right:
@@ -489,7 +497,8 @@ class Pictures:
 # -- clips ----------------------------------------------------------------------------------------
 
 CLIP_SUFFIXES = (".gif", ".mp4")
-GIF_COLOURS = 128  # of each frame
+GIF_COLOURS = 128  # of a palette
+GIF_ERROR = 32  # of 255, by which a colour may miss before a frame gets another palette
 
 
 def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float = 10.0) -> Path:
@@ -510,11 +519,18 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         from PIL import Image
 
     def reduced(pictures: Iterable[NDArray[np.uint8]]) -> Iterator[Any]:
-        """Yield pictures in few colours without dithering, which keeps the file small."""
+        """Yield pictures in few colours, those of the last while they fit: a file stays small."""
+        palette, plain = None, Image.Dither.NONE
         for picture in pictures:
-            yield Image.fromarray(picture).quantize(
-                GIF_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
-            )
+            image = Image.fromarray(picture)
+            kept = None if palette is None else image.quantize(palette=palette, dither=plain)
+            if (
+                kept is None
+                or np.abs(np.asarray(kept.convert("RGB"), dtype=int) - picture).max() > GIF_ERROR
+            ):
+                method = Image.Quantize.MEDIANCUT
+                palette = kept = image.quantize(GIF_COLOURS, method=method, dither=plain)
+            yield kept
 
     taken = iter(frames)
     with write_then_rename(path) as part:
@@ -522,12 +538,12 @@ def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float
         if first is None:
             raise InputError(f"{path}: there is no frame to write: run at least one step")
         if suffix == ".gif":
-            (opening,) = reduced([first])
-            opening.save(
+            images = reduced(chain([first], taken))
+            next(images).save(
                 part,
                 "GIF",
                 save_all=True,
-                append_images=reduced(taken),
+                append_images=images,
                 loop=0,
                 duration=1000.0 / fps,
             )
