@@ -163,6 +163,10 @@ What to know:
   where that is not possible). `pufferlib-core`, in which others package its core, has the
   emulation that is tested. Sample Factory 2.1.1 asks for `gymnasium<1.0` and `numpy<2`; it runs
   with Gymnasium 1.4 and NumPy 2.2 if it is installed with `--no-deps`.
+- TorchRL 0.14.1 reads every Minari set as zeros, not ours alone: its loader ends with
+  `memmap_like`, which copies shapes and no values. Until that is mended,
+  `TensorDict.memmap_like = lambda self, prefix=None, **kept: self.memmap(prefix)` before
+  `MinariExperienceReplay(..., load_from_local_minari=True)` gives the recorded values.
 - SuperSuit's SB3 wrapper has no `seed()`. Give SB3 no `seed=`; seed as the example does.
 """
 
