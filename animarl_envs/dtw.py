@@ -199,7 +199,7 @@ class DTWTracker:
             )
         self.kind, self.scale = kind, scale
         self.individuals = np.asarray(individuals, dtype=np.int64)
-        self._paths = np.ascontiguousarray(demos.positions.transpose(1, 0, 2))
+        self._paths = np.array(demos.positions.transpose(1, 0, 2), order="C")
         self._start = demos.offsets.astype(np.int64)
         shape = (num_copies, len(self.individuals))
         self.rows = np.full((*shape, int(demos.lengths.max())), np.inf)

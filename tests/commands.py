@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import pytest
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
@@ -30,9 +31,15 @@ def succeeded(done: Done) -> str:
     return done.stdout
 
 
-def animarl(*words: object) -> str:
-    """What ``animarl`` printed; what it raises is raised."""
-    ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+def animarl(*words: object, drawn: bool = False) -> str:
+    """Return what ``animarl`` printed; what it raises is raised.
+
+    An import draws its picture, which takes seconds, only where it is to be ``drawn``.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if words[0] == "import" and not drawn:
+            patch.setattr("animarl_algos.cli.describing.find_spec", {"matplotlib": None}.get)
+        ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
     if ran.exception is not None and not isinstance(ran.exception, SystemExit):
         raise ran.exception
     assert ran.exit_code == 0, ran.output

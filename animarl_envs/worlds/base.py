@@ -106,17 +106,15 @@ class World(ABC):
         self.num_individuals, self.num_actions = species.num_individuals, species.num_actions
         B, K = num_copies, species.num_individuals
         empty = np.zeros((0, K, 2))
-        self._demos = FlatDemos(empty, empty, np.zeros(1, np.int64), np.zeros(0, np.int8))
-        fastest = farthest = 0.0  # of the recordings [arena unit / s; arena unit]
+        recorded: Any = (empty, empty, np.array([0]), np.zeros(0, np.int8))
         if demos is not None:
-            self._demos = FlatDemos(
-                np.ascontiguousarray(demos.positions),
-                demos.velocities(),
-                demos.offsets.astype(np.int64),
-                np.ascontiguousarray(demos.condition),
-            )
-            fastest = float(np.linalg.norm(self._demos.velocity, axis=-1).max())
-            farthest = float(np.abs(demos.positions).max())
+            recorded = (demos.positions, demos.velocities(), demos.offsets, demos.condition)
+        self._demos = FlatDemos(*(np.ascontiguousarray(one) for one in recorded))
+        for array in self._demos:  # one type for kernels, which are compiled anew for another
+            array.setflags(write=False)
+        # The fastest [arena unit / s] and the farthest [arena unit] that was recorded.
+        fastest = float(np.linalg.norm(self._demos.velocity, axis=-1).max(initial=0.0))
+        farthest = float(np.abs(self._demos.position).max(initial=0.0))
         self.observation_components = type(self)._describe(species, fastest, farthest)
         self._check_ranges()
         C, n = len(self.reward_components), len(self.observation_components)
@@ -139,7 +137,7 @@ class World(ABC):
         self.truncated = np.zeros(B, dtype=bool)
         self.outcome = np.zeros(B, dtype=np.int8)
         self.step_count = np.zeros(B, dtype=np.int64)
-        self.demo = np.full(B, -1, dtype=np.int64)
+        self.demo = np.full(B, -1)
         self.condition = np.zeros(B, dtype=np.int8)
         self.warming = np.zeros(B, dtype=bool)
         self.random_state = np.zeros(B, dtype=np.uint64)
@@ -153,7 +151,7 @@ class World(ABC):
         self._warmup = species.warmup if scenario.paired else 0
         self.trackers: list[Any] = []
         self._everywhere = np.ones(B, dtype=bool)
-        self._any_demo = np.full(B, -1, dtype=np.int64)
+        self._any_demo = np.full(B, -1)
         self.seed(np.arange(B))
 
     def _check_ranges(self) -> None:

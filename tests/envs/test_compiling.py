@@ -6,12 +6,15 @@ import shutil
 from pathlib import Path
 
 import pytest
+from numba import typeof
 from pages import python
 
 import animarl_algos
-from animarl_envs.compiling import _folder, _kernel_sources, source_key
-from animarl_envs.dtw import _aligned
+from animarl_envs.compiling import _kernel_sources, source_key
 from animarl_envs.focus import averaged
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import SPECIES
+from animarl_envs.worlds import make_world
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNEL = """
@@ -52,26 +55,21 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def test_an_edit_of_an_inlined_kernel_or_a_constant_is_compiled_anew(copied: Path) -> None:
-    envs = copied / "animarl_envs"
-    assert run_kernel(copied)[:2] == (13.5, 0)
-    assert run_kernel(copied)[:2] == (13.5, 1)  # kept on disk
-    edit(envs / "locomotion.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
-    assert run_kernel(copied)[:2] == (14.5, 0)
-    constant = re.search(r"^NUM_ACTIONS.*$", (envs / "locomotion.py").read_text(), re.MULTILINE)
-    assert constant is not None
-    edit(envs / "locomotion.py", constant[0], "NUM_ACTIONS = 20")
-    assert run_kernel(copied)[:2] == (21.5, 0)
-
-
-def test_a_copy_of_the_package_elsewhere_uses_the_kernels_that_were_copied_with_it(
+def test_a_kernel_is_kept_wherever_the_package_lies_until_what_it_holds_is_edited(
     copied: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     assert run_kernel(copied)[:2] == (13.5, 0)
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "other"
     shutil.copytree(copied, elsewhere, copy_function=shutil.copyfile)  # dates are new
     shutil.rmtree(copied)
-    assert run_kernel(elsewhere)[:2] == (13.5, 1)
+    assert run_kernel(elsewhere)[:2] == (13.5, 1)  # kept on disk
+    envs = elsewhere / "animarl_envs"
+    edit(envs / "locomotion.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
+    assert run_kernel(elsewhere)[:2] == (14.5, 0)
+    constant = re.search(r"^NUM_ACTIONS.*$", (envs / "locomotion.py").read_text(), re.MULTILINE)
+    assert constant is not None
+    edit(envs / "locomotion.py", constant[0], "NUM_ACTIONS = 20")
+    assert run_kernel(elsewhere)[:2] == (21.5, 0)
 
 
 def test_what_kernels_take_from_modules_without_kernels_is_in_the_key() -> None:
@@ -112,13 +110,6 @@ def test_the_key_is_of_the_kernels_of_the_package_and_of_the_environments() -> N
     assert source_key("no_package_at_all") == source_key("animarl_envs")
 
 
-def test_numbas_own_setting_is_left_as_it_was() -> None:
-    import numba
-
-    assert str(_folder("animarl_envs", numba.config.CACHE_DIR)) in _aligned._cache.cache_path
-    assert "kernels-" not in (numba.config.CACHE_DIR or "")
-
-
 def test_no_kernel_is_kept_elsewhere() -> None:
     for package in ("animarl_envs", "animarl_algos", "tools"):
         for path in (ROOT / package).rglob("*.py"):
@@ -126,26 +117,29 @@ def test_no_kernel_is_kept_elsewhere() -> None:
                 assert "cache=True" not in path.read_text(), path
 
 
+@pytest.mark.parametrize("name", SPECIES)
+def test_worlds_with_and_without_recordings_have_the_same_kernels(name: str) -> None:
+    worlds = [make_world(make_scenario(name, **more)) for more in ({}, {"demos": None})]
+    recorded, free = ((typeof(one._reference), typeof(one._demos)) for one in worlds)
+    assert recorded == free
+
+
 FIRST_STEP = """
 import gymnasium, animarl_envs
 from numba.core import event
 
-class Listener(event.Listener):
-    def on_start(self, of):
-        function = of.data["dispatcher"].py_func
-        if str(function.__module__).startswith("animarl"):  # None of what is made by exec
-            print(function.__name__)
-
-    def on_end(self, of):
-        pass
-
-event.register("numba:compile", Listener())
-env = gymnasium.make("AnimaRL/AgentTask-v0")
-env.reset(seed=0)
-env.step(0)
+with event.install_recorder("numba:compile") as compiled:
+    env = gymnasium.make("AnimaRL/AgentTask-v0")
+    env.reset(seed=0)
+    env.step(0)
+for _, one in compiled.buffer:
+    function = one.data["dispatcher"].py_func
+    if one.is_start and str(function.__module__).startswith("animarl"):  # None of what exec makes
+        print(function.__name__)
 """
 
 
+@pytest.mark.slow
 def test_the_first_step_compiles_once_and_only_what_the_species_has(tmp_path: Path) -> None:
     folders = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
     done = python(FIRST_STEP, env=os.environ | folders)

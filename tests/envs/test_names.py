@@ -36,7 +36,9 @@ def invoke(*words: str) -> Any:
     testing = pytest.importorskip("typer.testing")
     from animarl_algos.cli.main import app
 
-    return testing.CliRunner().invoke(app, list(words))
+    with pytest.MonkeyPatch.context() as patch:  # no picture, which takes seconds
+        patch.setattr("animarl_algos.cli.describing.find_spec", {"matplotlib": None}.get)
+        return testing.CliRunner().invoke(app, list(words))
 
 
 def table(path: Path, name: str) -> Path:
@@ -98,9 +100,9 @@ def test_odd_names_are_shown_as_they_are(name: str, tmp_path: Path) -> None:
     with back.open(newline="") as file:
         cells = {cell for row in csv.reader(file) for cell in row}
     assert not [c for c in cells if c[:1] in ("=", "+", "@")]
-    demos = read(out)
-    plot_summary(demos, tmp_path / "p.svg")
-    assert "<script>" not in (tmp_path / "p.svg").read_text()
+    if set(name) & set("<$&{_"):  # of those that a picture could take for something else
+        plot_summary(read(out), tmp_path / "p.svg")
+        assert "<script>" not in (tmp_path / "p.svg").read_text()
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ import typer
 import typer.main
 from commands import animarl
 from pages import ROOT, blocks, run_programs
+from slow import slowly
 
 from animarl_algos.cli.main import app
 
@@ -151,7 +152,11 @@ def test_short_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         animarl(*shlex.split(command, comments=True)[1:])
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(str(page))], ids=str)
+LATER = Path("docs/pretrained.md")  # which starts two processes
+WITH_PROGRAMS = [page for page in PAGES if blocks(str(page)) and page != LATER]
+
+
+@pytest.mark.parametrize("page", [*WITH_PROGRAMS, *slowly(LATER)], ids=str)
 def test_programs_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if str(page) in RUN_BY:
         assert page.name in (ROOT / RUN_BY[str(page)]).read_text()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from pages import load_script
+from slow import slowly
 
 ROOT = Path(__file__).parents[2]
 
@@ -18,10 +19,11 @@ PAGE = load_script(ROOT / "docs" / "make_clients_page.py")
 CLIENTS = PAGE.CLIENTS
 OWN = {client.name: client for client in CLIENTS if client.own}
 OPTIONAL = {"torchrl_env": "torchrl", "tianshou_env": "tianshou"}
-HERE = [path for path in EXAMPLES if path.stem not in (*OWN, "more_libraries")]
+LATER = ROOT / "examples" / "tianshou_env.py"
+HERE = [path for path in EXAMPLES if path.stem not in (*OWN, "more_libraries") and path != LATER]
 
 
-@pytest.mark.parametrize("path", HERE, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*HERE, *slowly(LATER)], ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore")
 def test_example_runs_and_gives_a_number(path, capsys):
     if path.stem in OPTIONAL:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -37,7 +36,7 @@ from animarl_algos.evaluation.thrust_choice import choose_thrusts, tracking_floo
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import Run
-from animarl_algos.runs.run_settings import RunSettings
+from animarl_algos.runs.run_settings import CHOSEN, RunSettings
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -197,22 +196,15 @@ def test_further_rules_are_chosen_among_where_others_are_nearer(
     assert choice.short <= MARGIN
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A clone of few episodes, hardly trained."""
-    demos = load_packaged("fly")
+@pytest.mark.slow
+def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(tmp_path: Path) -> None:
     few = {"offline_epochs": 2, "offline_kwargs": {"updates_per_epoch": 5}}
     settings = RunSettings(
         file="packaged", species="fly", algo="soft-bc", steps=1, copies=1, overrides=few,
         baselines=False, thrusts="1",
     )  # fmt: skip
-    found = pipeline.open_run(settings, tmp_path_factory.mktemp("run") / "fly", "test", demos)
-    pipeline.learn(found, "soft-bc", progress_bar=False)
-    return found
-
-
-@pytest.mark.slow
-def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: Run) -> None:
+    run = pipeline.open_run(settings, tmp_path / "fly", "test", load_packaged("fly"))
+    pipeline.learn(run, "soft-bc", progress_bar=False)
     chosen = run.acting("soft-bc")
     assert (run.path / "policies" / "soft-bc.acting.json").exists()
     again = pipeline.learn(run, "soft-bc", progress_bar=False)
@@ -221,14 +213,13 @@ def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: Run) 
     assert other.policy.acting == Acting.boltzmann(0.3)
 
 
-def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_path: Path) -> None:
-    copy = tmp_path / "run"
-    shutil.copytree(run.path, copy)
-    file = copy / "policies" / "soft-bc.acting.json"
+def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(tmp_path: Path) -> None:
+    run = Run(tmp_path, CHOSEN)
+    refuses("no acting rule was chosen yet", run.acting, "soft-bc")
+    file = run.acting_file("soft-bc")
+    file.parent.mkdir()
     file.write_text("{")
-    refuses("it is damaged", Run(copy).acting, "soft-bc")
-    file.unlink()
-    refuses("no acting rule was chosen yet", Run(copy).acting, "soft-bc")
+    refuses("it is damaged", run.acting, "soft-bc")
 
 
 def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for() -> None:

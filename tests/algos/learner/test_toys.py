@@ -111,6 +111,7 @@ WALK = LEARN | {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_choosing_between_equal_routes_needs_the_distance_reward() -> None:
     followed = {}
     for recipe, alpha in ((DQDIL, 0.3), (DQN, 0.0)):
@@ -123,6 +124,7 @@ def test_choosing_between_equal_routes_needs_the_distance_reward() -> None:
     assert not all(followed[DQN].values())  # to it both worlds are the same
 
 
+@pytest.mark.slow
 def test_a_demonstration_at_half_speed_needs_the_alignment() -> None:
     """Four cells east, four north, two frames in each: by the clock, the turn comes too late."""
     cells = [(i, 0) for i in range(4)] + [(4, j) for j in range(5)]
@@ -189,6 +191,7 @@ def test_opposite_answers_under_two_conditions_need_the_flag_times_the_state(
     assert all(share < 0.6 for share in right.values())
 
 
+@pytest.mark.slow
 def test_flipping_a_confounded_condition_needs_the_reversal() -> None:
     """Action 1 is right under condition 1, and a louder nuisance always agrees with the condition.
 

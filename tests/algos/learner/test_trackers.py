@@ -21,10 +21,7 @@ class MlflowWriter(KVWriter):
         self.scalars: dict[str, list[tuple[int, float]]] = {}
 
     def write(
-        self,
-        key_values: dict[str, Any],
-        key_excluded: dict[str, tuple[str, ...]],
-        step: int = 0,
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
         for key, value in key_values.items():
             if isinstance(value, float | int) and "mlflow" not in (key_excluded[key] or ()):

@@ -46,9 +46,7 @@ def test_a_figure_has_the_width_of_the_journal(sides: panels.SideBySide) -> None
         refuses("give single, double", panels.width_in_mm, wrong)
 
 
-def test_a_figure_panel_draws_on_any_axes_what_it_returns(
-    sides: panels.SideBySide,
-) -> None:
+def test_a_figure_panel_draws_on_any_axes_what_it_returns(sides: panels.SideBySide) -> None:
     ax = Figure().subplots()
     table = panels.turning(ax, sides)
     width = table["high"] - table["low"]

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 from browser import listen, serious_findings, unreachable_controls
 from report_inputs import group_page, report_page, whatif_page
+from slow import slowly
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 Open = Callable[..., Any]
-WIDTHS = (390, 768, 1440)
+WIDTHS = (390, *slowly(768), 1440)
 ENDINGS = ("contact by", "time-out", "target left", "a pursuer left")
 
 
@@ -364,7 +365,7 @@ def lines(page: Any) -> list[tuple[float, str]]:
 
 
 @pytest.mark.parametrize("name", PAGES)
-@pytest.mark.parametrize("paper", ["A4", "Letter"])
+@pytest.mark.parametrize("paper", ["A4", *slowly("Letter")])
 def test_pages_break_where_nothing_is_parted(
     browser: Any, tmp_path: Path, name: str, paper: str
 ) -> None:

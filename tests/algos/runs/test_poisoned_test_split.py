@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from refusals import refuses
+from slow import slowly
 from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix, plan
@@ -73,8 +74,8 @@ def test_the_test_split_is_refused() -> None:
     ("algo", "species", "overrides"),
     [
         ("soft-bc", "custom", {}),
-        ("dqdil-pt", "agent", {}),  # its episodes begin with replayed demonstrations
-        pytest.param("dqaas", "agent", {}, marks=pytest.mark.slow),
+        # Their episodes begin with replayed demonstrations, as those of the benchmark below.
+        *slowly(("dqdil-pt", "agent", {}), ("dqaas", "agent", {})),
     ],
 )
 def test_poison_changes_neither_what_is_learned_nor_what_is_packaged(

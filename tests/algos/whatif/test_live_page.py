@@ -17,6 +17,7 @@ import pytest
 from browser import listen, serious_findings, unreachable_controls
 from commands import animarl
 from refusals import refuses
+from slow import slowly
 from small_runs import few, made
 
 from animarl_algos import load_run
@@ -147,9 +148,9 @@ def recorded_steps(run: Run, removed: tuple[str, ...]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "species, removed",
     [
-        *((name, ()) for name in ("agent", "fly", "newt", "silkmoth", "solo", "shoal", "custom")),
+        *((name, ()) for name in ("agent", "silkmoth", "solo", "shoal", "custom")),
         ("agent", ("predator_0",)),
-        ("fly", ("male_1",)),
+        *slowly(("fly", ()), ("newt", ()), ("fly", ("male_1",))),  # chases as well
     ],
 )
 def test_parity_of_the_page_with_python(

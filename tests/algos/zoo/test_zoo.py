@@ -20,6 +20,7 @@ import yaml
 from commands import Done, refused, succeeded
 from gymnasium.envs.classic_control import CartPoleEnv
 from refusals import refuses
+from slow import slowly
 from small_runs import few
 from stable_baselines3.common import callbacks
 from stable_baselines3.common.monitor import load_results
@@ -248,7 +249,7 @@ def test_help_says_what_a_zip_file_is(zoo: Callable[..., Done]) -> None:
     assert "python -m animarl_algos.zoo train" in zoo("--help").stdout
 
 
-@pytest.mark.parametrize("exploration", ["epsilon", "boltzmann"])
+@pytest.mark.parametrize("exploration", [*slowly("epsilon"), "boltzmann"])
 def test_training_scores_a_policy_that_samples_as_it_acts(
     exploration: str, zoo: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -123,10 +123,7 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 20, "--farther-than", 1, "--out", out), "give both"),
         (("--fps", 20, "--species", "unicorn", "--out", out), "species 'unicorn' is unknown"),
         (("--fps", 20, "--split-seed", -1, "--out", out), "give zero or more"),
-        (
-            ("--fps", 20, "--contact", "nan", "--out", out),
-            "contact is nan: give a number of",
-        ),
+        (("--fps", 20, "--contact", "nan", "--out", out), "contact is nan: give a number of"),
         (("--fps", 20, "--arena", "triangle", "--out", out), "triangle"),
         (("--fps", 20, "--smoothing", -1, "--out", out), "smoothing_cutoff is -1.0: give"),
         (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
@@ -240,10 +237,10 @@ def test_recordings_that_begin_within_contact_are_named(tmp_path: Path) -> None:
 
 
 def test_a_table_that_was_converted_knows_its_times(tmp_path: Path) -> None:
-    animarl("data", "convert", "newt", "--out", tmp_path / "newt.csv")
+    newts = load_packaged("newt").select(episodes=np.arange(3))
+    animarl("data", "convert", newts.save(tmp_path / "n.npz"), "--out", tmp_path / "newt.csv")
     animarl("import", tmp_path / "newt.csv", "--target", "none", "--out", tmp_path / "again.npz")
-    packaged = load_packaged("newt")
-    assert Demonstrations.load(tmp_path / "again.npz").dt == pytest.approx(packaged.dt)
+    assert Demonstrations.load(tmp_path / "again.npz").dt == pytest.approx(newts.dt)
 
 
 @pytest.mark.parametrize("pursuers", [1, 3])

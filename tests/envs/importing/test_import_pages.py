@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from commands import animarl
 from pages import load_script, run_programs
+from slow import slowly
 
 from animarl_envs.importing.readers import registry
 from tools.fuzz.layouts import KINDS, POSE, write_slp
@@ -60,7 +61,7 @@ def test_the_readers_page_has_a_line_for_every_reader(folder: Path) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("number", [0, 1, 2, pytest.param(3, marks=pytest.mark.slow), 4])
+@pytest.mark.parametrize("number", [0, 1, *slowly(2, 3, 4)])
 def test_import_of_the_worked_examples(
     number: int, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,7 +71,8 @@ def test_import_of_the_worked_examples(
         given = [word.replace("$DATA", str(data_dir)) for word in words]
         given = [word.replace("benchmarks/", f"{DOCS.parent}/benchmarks/") for word in given]
         files = {w: sorted(map(str, Path(w).parent.glob(Path(w).name))) for w in given if "*" in w}
-        assert animarl(*(name for word in given for name in files.get(word, [word]))).strip()
+        words = [name for word in given for name in files.get(word, [word])]
+        assert animarl(*words, drawn=True).strip()
     (recipe,) = tmp_path.glob("*.recipe.yaml")
     assert recipe.with_name(f"{recipe.name.removesuffix('.recipe.yaml')}.png").exists()
 

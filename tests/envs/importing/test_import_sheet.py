@@ -39,7 +39,7 @@ def test_an_import_sheet_has_six_lines_a_picture_and_the_next_command(tmp_path: 
     files, sessions = walkers(tmp_path)
     out = tmp_path / "mine.npz"
     words = ("--fps", 10, "--target", "none", "--metadata", sessions, "--out", out)
-    shown = animarl("import", *files, *words)
+    shown = animarl("import", *files, *words, drawn=True)
     lines = [line.split() for line in shown.splitlines() if line.startswith("  ")]
     assert [line[0] for line in lines if line and line[0] in SIX] == SIX
     assert "8 recordings" in shown and "sham" in shown and "guessed: --arena" in shown

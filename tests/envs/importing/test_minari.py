@@ -79,6 +79,7 @@ def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.Mon
     assert json.loads(dataset.storage.metadata["animarl"])["licence"] == "CC-BY-4.0"
 
 
+@pytest.mark.slow
 def test_minari_finds_all_packaged_sets_under_stable_ids(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

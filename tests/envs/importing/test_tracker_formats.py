@@ -12,13 +12,7 @@ from refusals import refused, refuses
 from scipy.io import savemat
 
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers import (
-    files_in,
-    find_reader,
-    follow,
-    load_readers,
-    read_tracks,
-)
+from animarl_envs.importing.readers import files_in, find_reader, follow, load_readers, read_tracks
 from tools.fuzz.layouts import (
     BODIES,
     NAMES,

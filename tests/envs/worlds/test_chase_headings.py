@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recordings import dogs, flock
+from slow import slowly
 from turned_bodies import SIDEWAYS, SLOW, recorded, species
 
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -123,7 +124,7 @@ def test_pictures_show_the_headings() -> None:
     assert not np.array_equal(scene.headings, world.heading[1])
 
 
-@pytest.mark.parametrize("many", [2, 6])
+@pytest.mark.parametrize("many", [2, *slowly(6)])
 def test_headings_of_all_are_seen_from_each_in_the_order_of_the_others(many: int) -> None:
     """As said by hand: few are sorted otherwise than many."""
     spec = with_options(

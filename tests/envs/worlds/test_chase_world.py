@@ -23,14 +23,7 @@ from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.chase.neighbours import FEW
-from animarl_envs.worlds.chase.scripted import (
-    HORIZON,
-    LEADS,
-    LOOKS,
-    SOFTENING,
-    WALL_WEIGHT,
-    decide,
-)
+from animarl_envs.worlds.chase.scripted import HORIZON, LEADS, LOOKS, SOFTENING, WALL_WEIGHT, decide
 from animarl_envs.worlds.chase.world import ChaseWorld, observe
 
 Array = NDArray[Any]
@@ -117,7 +110,7 @@ def reference_paper(position: Array, velocity: Array, before: Array, i: int) -> 
 def test_kernels_agree_with_the_scalar_reference(pursuers: int, kind: str) -> None:
     reference = {"full": reference_full, "paper": reference_paper}[kind]
     rng = np.random.default_rng(pursuers)
-    copies, K = 40, pursuers + 1
+    copies, K = 10, pursuers + 1
     made = world(copies, num_pursuers=pursuers, arena="open", contact_radius=1e-9, observation=kind)
     position, velocity = made.position.copy(), made.velocity.copy()
     for _ in range(8):
@@ -316,6 +309,7 @@ for name in options:
 """
 
 
+@pytest.mark.slow
 def test_kernels_run_as_they_are_written_where_numba_is_off() -> None:
     """So that ``make mutants`` sees them."""
     printed = []
