@@ -1,7 +1,9 @@
 """Demonstrations and recipes in words, with units: what commands say of them, and hints."""
 
 import math
+import re
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -129,6 +131,7 @@ def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
     seconds, recordings = (demos.lengths - 1) * demos.dt, np.unique(demos.recording)
     guesses = {
         "animals": recipe.get("target") == "auto"
+        and demos.num_individuals > 1
         and not demos.provenance.get("roles_stated")
         and "--target NAME or none",
         "unit": _unit_name(demos) == "px" and "--px-per-cm NUMBER gives cm",
@@ -162,14 +165,18 @@ def _median_speeds(demos: Demonstrations) -> str:
     unit = unit_of(demos)
     speeds = unit.per_arena_unit * np.linalg.norm(demos.velocities(), axis=2)
     each = zip(demos.kinds, np.split(speeds, len(demos.kinds), axis=1), strict=True)
-    medians = ", ".join(f"{name} {np.median(own):.3g}" for name, own in each)
-    return f"median speed of {medians} {unit.name}/s"
+    medians = ", ".join(f"{np.median(own):.3g} ({name})" for name, own in each)
+    return f"median speed {medians} {unit.name}/s"
 
 
 def _conditions(demos: Demonstrations) -> str:
     present = np.unique(demos.condition).tolist()
     if len(present) == 1 and "conditions" not in demos.provenance:
-        return "one (--metadata TABLE or --name-pattern states two)"
+        files = Counter(name.partition("/")[0] for name in np.unique(demos.recording))
+        pattern = "PATTERN"
+        if len(files) == 2 and min(files.values()) > 1:  # recordings of two files or folders
+            pattern = shlex.quote(f"(?P<condition>{'|'.join(map(re.escape, files))})")
+        return f"one (--metadata TABLE or --name-pattern {pattern} states two)"
     return ", ".join(
         f"{condition_name(one, demos)}: "
         + counted(len(np.unique(demos.recording[demos.condition == one])), "recording")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_origin, get_type_hints
 
@@ -171,6 +172,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import far_acting_rules
     from animarl_algos.runs.run_set import ENOUGH_TESTED
+    from animarl_algos.runs.run_world import CELLS
     from animarl_envs.fitting.result import doubts
 
     console = shared.PlainConsole(WIDTH)
@@ -193,7 +195,7 @@ def run_command(**given: Any) -> None:
     warn(doubts(fit, run.demos))
     begin("2/4", f"training {run.settings.algo.upper()}")
     if reason := run.record.get("reasons", {}).get("cloning"):
-        console.print(f"recipe {run.settings.cloning}: {reason}")
+        console.print(f"recipe {run.settings.cloning} (another: --cloning): {reason}")
     pipeline.learn_all(run)
     tested = "the test split"
     if folds:
@@ -221,6 +223,13 @@ def run_command(**given: Any) -> None:
     for line in verdict_lines(judged, words):
         console.print(line)
     console.print(f"Open {page}")
+    if given["quick"]:
+        console.print("This was a quick look: for a verdict to trust, run without --quick")
+    folder, cells = shlex.quote(str(run.path)), run.environment_options.get(CELLS)
+    console.print(
+        f"Next: animarl whatif {folder} --change {'speed' if cells else 'all.thrust'}=x1.2; the "
+        f"same with sliders: animarl page {folder}; for a paper: animarl figure {folder}"
+    )
 
 
 @shared.with_options(

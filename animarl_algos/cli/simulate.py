@@ -46,6 +46,7 @@ def simulate_command(
     """
     formats = f"{out}: the suffix says the format: choose {', '.join(TRACK_FILES)}"
     require(out.suffix in TRACK_FILES, formats)
+    from animarl_algos.cli.describing import counted
     from animarl_algos.runs.pretrained import model_folder
     from animarl_algos.runs.run import Run
     from animarl_envs.demos.summary import unit_of
@@ -64,4 +65,4 @@ def simulate_command(
         for start, repetition, condition in each
     ]
     write_tracks(out, rollouts, heads, unit_of(run.demos))
-    PlainConsole().print(f"Wrote {out}: {len(rollouts)} rollouts")
+    PlainConsole().print(f"Wrote {out}: {counted(len(rollouts), 'rollout')}")

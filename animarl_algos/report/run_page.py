@@ -43,9 +43,10 @@ def run_page(inputs: ReportInputs) -> Page:
         ("training seeds", ", ".join(map(str, inputs.seeds)) or "not given"),
     ]
     crossed = f", cross-validated in {inputs.folds} folds" if inputs.folds else ""
+    tested = f"{demos.num_episodes} recording{'s' * (demos.num_episodes != 1)}"
     facts = [
-        ("Animals", inputs.animals),
-        ("Evaluated on", inputs.words.adapt(f"{demos.num_episodes} recordings{crossed}")),
+        ("Animals", str(demos.num_individuals) if demos.is_group else inputs.animals),
+        ("Evaluated on", inputs.words.adapt(f"{tested}{crossed}")),
         ("Method", method_label(inputs.learner)),
         ("Training seeds", ", ".join(map(str, inputs.seeds)) or NOTHING),
     ]

@@ -466,7 +466,8 @@ class _Comparison:
         raise UnmetSpeedError(
             f"{scenario.name}: no thrust between x{LIMITS[0]:g} and x{LIMITS[1]:g} brings {name} "
             f"to {wanted[name] * scale:.3g} {self.unit.name}/s: "
-            f"{searches[name].describe_failure(scale)}; ask for another speed, or change its thrust"
+            f"{searches[name].describe_failure(scale)}; ask for another speed, or change the "
+            f"thrust: {name}.thrust=x1.2"
         )
 
     def _rows(

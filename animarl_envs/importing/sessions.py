@@ -174,8 +174,8 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
     groups = set(re.findall(r"\(\?P<(\w+)>", pattern))
     require(
         groups and groups <= set(GROUPS),
-        f"{place}: it has the groups {', '.join(sorted(groups)) or 'of no name'}: name them "
-        f"{', '.join(f'(?P<{name}>...)' for name in GROUPS)}",
+        f"{place}: its groups are named {', '.join(sorted(groups)) or 'nothing'}: write one of "
+        f"{', '.join(GROUPS)}, as in (?P<condition>fed|starved)",
     )
     sessions = {}
     for name, match in zip(recordings, matches, strict=True):

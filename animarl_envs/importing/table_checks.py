@@ -43,7 +43,8 @@ def refuse_two_rows(
         require(
             before.max() == twice[0],
             f"{table.path}: frames begin again at {table.place(int(rows[second]))}, as of a second "
-            "session: add a column recording that tells the sessions apart, or split the file",
+            "session or animal: rename the column that tells them apart recording or animal, or "
+            "split the file",
         )
 
         def name_place(of: int) -> str:

@@ -35,7 +35,8 @@ USUAL_NAMES = {
         "subject subjectid subjectname track tier individuallocalidentifier",
         "id object objectid obj ind agent agentid identity ids tagid particle particleid mouse "
         "mouseid fly flyid fish fishid rat ant antid bird birdid "
-        "larva larvaid worm wormid taglocalidentifier",
+        "larva larvaid worm wormid bat batid bee beeid moth mothid termite termiteid locust "
+        "locustid taglocalidentifier",
         "name tag label",
     ),
     "recording": (

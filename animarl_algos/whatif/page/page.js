@@ -537,7 +537,7 @@
   }
 
   const fewest = Math.floor(ROLLOUTS / starts), most = Math.ceil(ROLLOUTS / starts), of = model.starts.of;
-  $("rollouts").textContent = `${ROLLOUTS} rollouts, ${fewest === most ? most : `${fewest} or ${most}`} from each of ${starts} test starts${starts < of ? ` (the first of ${of})` : ""}.`;
+  $("rollouts").textContent = `${ROLLOUTS} rollouts, ${fewest === most ? most : `${fewest} or ${most}`} from ${starts === 1 ? "the one test start" : `each of ${starts} test starts`}${starts < of ? ` (the first of ${of})` : ""}.`;
   begin();
   requestAnimationFrame(frame);
   answer();

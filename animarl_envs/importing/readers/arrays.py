@@ -134,9 +134,11 @@ def _ordered(path: Path, name: str, array: NDArray[Any], axes: Sequence[str] | N
             f"not fit: give the option axes, an order of {', '.join(AXES)}"
         )
     if array.shape[given.index("xy")] != 2:
+        table = "if each row is a position, save it as CSV with the columns frame, animal, x, y"
         raise InputError(
             f"{path}: {name} has {array.shape[given.index('xy')]} entries along xy (shape "
-            f"{array.shape}): give the option axes in the order of the array"
+            f"{array.shape}): "
+            + (table if array.ndim == 2 else "give the option axes in the order of the array")
         )
     longest = max(array.shape[given.index(axis)] for axis in given)
     if axes is None and 0 < array.shape[given.index("frame")] < longest:

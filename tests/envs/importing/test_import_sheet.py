@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from commands import animarl
 from recordings import episodes_along
+from refusals import refuses
 
 from animarl_algos.cli.describing import describe_ground
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -51,6 +52,20 @@ def test_an_import_sheet_has_six_lines_a_picture_and_the_next_command(tmp_path: 
     assert not (tmp_path / "dry.png").exists()
     animarl("import", *files, *words[:-1], tmp_path / "dry.npz", "--dry-run")
     assert not (tmp_path / "dry.png").exists()
+
+
+def test_an_import_sheet_of_two_files_names_the_pattern_of_conditions(tmp_path: Path) -> None:
+    for name in ("fed", "starved"):
+        table = "".join(
+            f"{n},{t},{t}.{n},{n}\n" for n in range(3) for t in range(20 * n, 20 * n + 20)
+        )
+        (tmp_path / f"{name}.csv").write_text("larva,frame,x,y\n" + table)
+    words = ("import", *sorted(tmp_path.glob("*.csv")), "--fps", 10, "--dry-run")
+    shown = " ".join(animarl(*words).split())
+    pattern = "(?P<condition>fed|starved)"
+    assert f"--name-pattern '{pattern}' states two" in shown and "guessed: --target" not in shown
+    assert "(starved): 3 recordings" in " ".join(animarl(*words, "--name-pattern", pattern).split())
+    refuses("named nothing: write one of condition", animarl, *words, "--name-pattern", "fed")
 
 
 def test_splits_have_every_condition_and_keep_an_animal_together() -> None:
