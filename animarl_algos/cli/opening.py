@@ -176,6 +176,11 @@ class RunsServer(ThreadingHTTPServer):
         self.jobs: queue.Queue[Job] = queue.Queue()
         self.job: Job | None = None
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Print what went wrong, unless the reader left before the answer."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
     @property
     def url(self) -> str:
         """Where the list is."""
@@ -307,6 +312,8 @@ def open_command(folder: Path = Path("runs"), port: int = 0, browser: bool = Tru
       animarl open results --no-browser --port 8000
     """
     require(folder.is_dir() or not folder.exists(), f"{folder}: it is a file: name a folder")
+    from animarl_algos.report import page  # noqa: F401  before a reader waits for it
+
     with RunsServer(folder, port) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         PlainConsole().print(f"Open {server.url} (Ctrl-C ends it)")
