@@ -49,6 +49,7 @@ from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
+from animarl_algos.evaluation.headline import compare_with_law
 from animarl_algos.evaluation.metrics import ORDER
 from animarl_algos.evaluation.statistics import UNDEFINED
 from animarl_algos.evaluation.verdict_rows import DIFFERS, FINDINGS, UNKNOWN
@@ -68,8 +69,9 @@ from animarl_envs.fitting.tracking import track
 from animarl_envs.species import CUSTOM, SPECIES
 from animarl_envs.worlds import make_world
 
-DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
-TEST_TABLE = Path(__file__).parents[1] / "docs" / "results" / "test" / "faithful.csv"
+ROOT = Path(__file__).parents[1]
+DATA = Path(os.environ.get("ANIMARL_DATA", ROOT.parent / "shared" / "data"))
+TEST_TABLE = ROOT / "docs" / "results" / "test" / "faithful.csv"
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
 READ = " How often this split was read is said [beside the results](../README.md)."
 FOLDS = 6  # of the cross-validation over recordings, where there are few
@@ -213,10 +215,15 @@ class DataSet:
                 told = {"pursuers": self.pursuers, "out": files[0], "folder": folder / self.name}
                 asked = [f"--{key}={value}" for key, value in told.items()]
                 subprocess.run([*program, *asked], check=True, cwd=Path(__file__).parents[1])
-            readers = ["--readers", str(Path(__file__).with_name("paper_readers.py"))]
-            command = ["import", *map(str, files), *readers, *options, "--out", str(out)]
-            subprocess.run([*ANIMARL, *command], check=True, stdout=subprocess.DEVNULL)
+            import_files(files, options, out)
         return Demonstrations.load(out)
+
+
+def import_files(files: Sequence[Path], options: Sequence[str], out: Path) -> None:
+    """Import recordings as ``animarl import`` does, with the readers of published ones."""
+    readers = ["--readers", str(Path(__file__).with_name("paper_readers.py"))]
+    command = ["import", *map(str, files), *readers, *options, "--out", str(out)]
+    subprocess.run([*ANIMARL, *command], check=True, stdout=subprocess.DEVNULL)
 
 
 def stopped(demos: Demonstrations) -> Demonstrations:
@@ -425,6 +432,13 @@ def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[di
     return rows
 
 
+def cell_row(found: Verdict) -> dict[str, Any]:
+    """What the verdict of a cell says: how many questions have which word, and what differs."""
+    classifier = {"auc": found.auc.estimate, "auc_low": found.auc.low, "auc_high": found.auc.high}
+    said = {"recordings": found.recordings, "complaints": "; ".join(found.complaints)}
+    return said | found.counts | classifier | {"law": compare_with_law(found.rows())}
+
+
 def main(
     only: Annotated[list[str] | None, typer.Option(help="These data sets; repeatable.")] = None,
     algo: Annotated[str, typer.Option(help="The learner.")] = "soft-bc",
@@ -473,6 +487,7 @@ def main(
     if missing:
         console.print(f"{len(missing)} of {len(cells)} cells to make, {estimated_time(missing)}")
     lines: list[dict[str, Any]] = []
+    verdicts: list[dict[str, Any]] = []
     for (one, s), cell in cells.items():
         if (one, s) in missing:
             judged(one, out, algo, s, split, number, cloning).save(cell)
@@ -491,9 +506,12 @@ def main(
         }
         took = done["seconds"] if whole else math.nan
         lines += [head | row for row in bar_rows(one, found, took)]
+        verdicts.append(head | cell_row(found))
     if lines:
         table = with_others(pd.DataFrame(lines), out / "faithful.csv")
         write(table, out, split)
+        with write_then_rename(out / "verdicts.csv") as part:
+            with_others(pd.DataFrame(verdicts), out / "verdicts.csv").to_csv(part, index=False)
         console.print(markdown(table), soft_wrap=True, highlight=False, markup=False)
 
 
@@ -508,23 +526,16 @@ def estimated_time(cells: Sequence[tuple[DataSet, int]]) -> str:
     return f"about {hours:.1f} h of processor time; what is finished is kept, run it again to go on"
 
 
-OLDER_NAMES = {"difference_low": "low", "difference_high": "high", "overall": "headline"}
-"""Columns of tables that were made before, by what they are called now."""
-
-
 def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     """Beside the rows of an earlier table of other sets and seeds, in the order of the sets."""
     if file.exists():
         # A commit may look like a number, and numbers are to stay the same to the last digit.
         earlier = pd.read_csv(file, dtype={"commit": str}, float_precision="round_trip")
-        earlier = earlier.rename(columns=OLDER_NAMES)
         cell = ["set", "seed"]
         anew = pd.MultiIndex.from_frame(table[cell])
         kept = earlier[~pd.MultiIndex.from_frame(earlier[cell]).isin(anew)]
         table = pd.concat([kept, table], ignore_index=True)
     order = {one.name: number for number, one in enumerate(SETS)}
-    groups = {one.name: one.group for one in SETS}  # older tables do not say
-    table["group"] = table["set"].map(groups).fillna(UNSEEN)
     place = pd.DataFrame({"set": table["set"].map(order), "seed": table["seed"]})
     rows = place.sort_values(["set", "seed"], kind="stable").index
     return table.loc[rows].reset_index(drop=True)
@@ -572,12 +583,16 @@ def markdown(table: pd.DataFrame) -> str:
 
 
 def commit() -> str:
-    """Of the working tree, with a plus where it was changed."""
-    asked = ["git", "describe", "--always", "--dirty=+", "--abbrev=9"]
-    done = subprocess.run(
-        asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False
-    )
-    return done.stdout.strip() or "unknown"
+    """Of the working tree, with a plus where its programs were changed."""
+
+    def asked(*words: str) -> str:
+        done = subprocess.run(
+            ["git", *words], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        return done.stdout.strip()
+
+    changed = asked("status", "--porcelain", "animarl_envs", "animarl_algos", "benchmarks")
+    return (asked("describe", "--always", "--abbrev=9") or "unknown") + "+" * bool(changed)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import gzip
 import json
+import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
@@ -29,7 +30,8 @@ from animarl_algos.evaluation import Verdict
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import ORDER
 from animarl_algos.evaluation.statistics import Interval
-from benchmarks.faithful import DATA, DataSet, judged
+from animarl_envs.demos.demonstrations import Demonstrations
+from benchmarks.faithful import DATA, DataSet, import_files, judged
 
 MEASURES = (
     *(AUC, SEQUENCE, ORDER, "kinematic", "interactive", "mean_speed", "spread_of_mean_speed"),
@@ -54,8 +56,11 @@ class LivingSet(DataSet):
 
     def load(self, folder: Path) -> Any:
         """Return the demonstrations, imported at the first time; of larvae the first of each."""
-        if self.name != "larvae" or (folder / "larvae.npz").exists():
+        out = folder / "larvae.npz"
+        if self.name != "larvae":
             return super().load(folder)
+        if out.exists():
+            return Demonstrations.load(out)
         folder.mkdir(parents=True, exist_ok=True)
         files = []
         for condition in ("fed", "deprived"):
@@ -63,9 +68,8 @@ class LivingSet(DataSet):
             files.append(folder / f"larvae_{condition}.csv")
             with gzip.open(source, "rt") as lines:
                 files[-1].write_text("".join(first_animals(lines, FIRST)))
-        named = " ".join(str(file.resolve()) for file in files[1:])
-        whole = replace(self, importing=f"{files[0].resolve()} {named} {self.importing}")
-        return DataSet.load(whole, folder)
+        import_files(files, shlex.split(str(self.importing)), out)
+        return Demonstrations.load(out)
 
     def files(self) -> list[Path]:
         """Return the recordings."""

@@ -40,8 +40,9 @@ BOARDS = ("agent", "fly", "newt", "silkmoth", "recorded-agents", "recorded",
           "paper/agent", "paper/silkmoth")  # fmt: skip
 METHODS = ("recordings", "tracking", "soft-bc", "bc", "iq-learn", "dqaas", "dqdil-pt", "dqdil",
            "dqn", "scripted", "random")  # fmt: skip
-NO_DIFFERENCE = ("alike", "not known", "as recorded", "not told apart", "not distinguishable")
-"""How the words of a row begin that does not differ; the last three are of older verdicts."""
+WORDS = ("alike", "differs a little", "differs", "not known")
+SAME = ("alike", "not known")
+"""How the words of a row begin that does not differ."""
 
 
 def markdown(head: list[str], rows: list[list[str]]) -> str:
@@ -55,68 +56,62 @@ def seeds(numbers: list[int]) -> str:
     return f"seed{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
 
 
-def by_seed(texts: dict[int, str]) -> str:
-    """Join the texts of several seeds, naming the seeds unless all three say the same."""
+def by_seed(texts: dict[int, str], count: int) -> str:
+    """Join the texts of seeds, naming the seeds unless all of so many say the same."""
     groups: dict[str, list[int]] = {}
     for seed, text in texts.items():
         groups.setdefault(text, []).append(seed)
-    if len(texts) == 3 and len(groups) == 1:
+    if len(texts) == count and len(groups) == 1:
         return next(iter(groups))
     return "; ".join(f"{text} ({seeds(of)})" for text, of in groups.items())
 
 
-def tested_cells() -> pd.DataFrame:
-    """Return the table of ``benchmarks/faithful.py --test``, with a colour before each headline."""
-    table = pd.read_csv(TEST_TABLE).rename(columns={"overall": "headline"})
-    if "page" in table:
-        colours = table["page"].map("{}: ".format, na_action="ignore").fillna("")
-        table["headline"] = colours + table["headline"]
-    return table
-
-
 def verdicts() -> str:
-    """Return the headline of every cell, the classifier's AUC and the bars that are not met."""
-    table = tested_cells()
+    """Return how many questions of every set have which word, what differs, and missed bars."""
+    cells, bars = (
+        pd.read_csv(TEST_TABLE.with_name(f"{name}.csv")) for name in ("verdicts", "faithful")
+    )
+    cells["complaints"] = cells["complaints"].fillna("")
+    bars = bars[bars["met?"] == "no"]
     rows = []
     for name, tested in TESTED.items():
-        cells = table[table["set"] == name]
-        if cells.empty:
+        own, missed = cells[cells["set"] == name], bars[bars["set"] == name]
+        if own.empty:
             continue
-        headlines = dict(zip(cells["seed"], cells["headline"], strict=True))
-        areas = cells[cells["label"].str.contains("classifier")].sort_values("seed")
-        decided = cells[cells["met?"] != "cannot be said"]
-        failed = decided[decided["met?"] != "yes"]
-        missed = [
-            f"{label} ({seeds(list(rows_of['seed']))})"
-            for label, rows_of in failed.groupby("label", sort=False)
-        ]
+        differ = dict(zip(own["seed"], own["complaints"], strict=True))
+        areas = zip(own["auc"], own["auc_low"], own["auc_high"], strict=True)
         rows.append(
             [
                 name,
                 tested,
-                by_seed(headlines),
-                ", ".join(f"{area:.2f}" for area in areas["simulated"]),
-                f"{len(decided) - len(failed)} of {len(decided)}",
-                str(len(cells) - len(decided)),
-                "; ".join(missed) or "–",
+                ", ".join(map(str, own["seed"])),
+                *(", ".join(map(str, own[word])) for word in WORDS),
+                by_seed({seed: text for seed, text in differ.items() if text}, len(own)) or "–",
+                ", ".join(f"{area:.2f} [{low:.2f}, {high:.2f}]" for area, low, high in areas),
+                "; ".join(
+                    f"{label} ({seeds(list(of['seed']))})"
+                    for label, of in missed.groupby("label", sort=False)
+                )
+                or "–",
             ]
         )
     return markdown(
-        ["set", "tested on", "headline of the verdict", "AUC of seeds 0, 1, 2", "bars met",
-         "cannot be said", "bars not met"], rows,
+        ["set", "tested on", "seeds", "alike", "a little", "differ", "not known", "what differs",
+         "classifier on 2 s: AUC", "bars not met"], rows,
     )  # fmt: skip
 
 
 def differing_rows() -> str:
     """Return the rows with a bar that differ, or differ a little, in the verdict's words."""
-    table = tested_cells().dropna(subset=["verdict"])
+    table = pd.read_csv(TEST_TABLE).dropna(subset=["verdict"])
     rows = []
     for name in TESTED:
-        cells = table[(table["set"] == name) & ~table["verdict"].str.startswith(NO_DIFFERENCE)]
+        count = table.loc[table["set"] == name, "seed"].nunique()
+        cells = table[(table["set"] == name) & ~table["verdict"].str.startswith(SAME)]
         for label, found in cells.groupby("label", sort=False):
-            words = by_seed(dict(zip(found["seed"], found["verdict"], strict=True)))
+            words = by_seed(dict(zip(found["seed"], found["verdict"], strict=True)), count)
             values = ", ".join(f"{value:.3g}" for value in found["simulated"])
-            recorded = "–" if "AUC" in str(label) else f"{found['recorded'].iloc[0]:.3g}"
+            recorded = ", ".join(dict.fromkeys(f"{value:.3g}" for value in found["recorded"]))
             rows.append([name, str(label), recorded, values, words])
     return markdown(["set", "row", "recorded", "simulated", "verdict"], rows)
 

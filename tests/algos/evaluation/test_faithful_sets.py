@@ -160,7 +160,8 @@ def test_kept_cells_are_tabled_in_the_words_of_their_set(
 def test_rows_of_older_tables_stay_beside_new_ones() -> None:
     older = pd.read_csv(TEST_TABLE)
     rows = bar_rows(NAMED["courtship"], found())
-    anew = pd.DataFrame([{"set": "courtship", "seed": 0, "seconds": 1.0} | row for row in rows])
+    head = {"set": "courtship", "seed": 0, "seconds": 1.0, "group": NAMED["courtship"].group}
+    anew = pd.DataFrame([head | row for row in rows])
     table = with_others(anew, TEST_TABLE)
     own = (table["set"] == "courtship") & (table["seed"] == 0)
     before = (older["set"] == "courtship") & (older["seed"] == 0)

@@ -1,0 +1,180 @@
+"""What would animals do under the other condition? Predicted for animals that were kept aside.
+
+    python benchmarks/treatments.py --quick
+    python benchmarks/treatments.py --splits 20 --out docs/results/treatments
+
+Recordings of living animals under a real treatment are split anew for every row, and whole animals
+are kept aside. A simulator learns from the others under both conditions and is asked, as
+``animarl whatif --change condition=NAME`` asks, what the treatment would do to those aside.
+Beside its shift stand the true one, which their own recordings show, and the trivial answer: the
+mean shift of the animals that were learned from. Termites: the same female before she was paired
+and after her partner was taken away. Larvae: fed and deprived of protein, other animals each. The
+recordings lie in $ANIMARL_DATA (by default ../shared/data). Finished splits are kept.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import torch
+import typer
+from rich.console import Console
+
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
+from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.quantities import measured_quantities, quantities_of
+from animarl_algos.whatif.truth import RECORDINGS, find_truth
+from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import Splitting, deal
+from animarl_envs.demos.summary import unit_of
+from animarl_envs.files import read_npz, write_then_rename
+from animarl_envs.species import CUSTOM
+from benchmarks.faithful import DATA, commit, import_files
+from benchmarks.living import SETS as LIVING
+
+TERMITES = DATA / "termites_alone" / "females_5fps_mm100_int16.npz"
+FRAME_RATE, STEPS_PER_MM = 5.0, 100.0
+KEPT, PIECE = 600.0, 60.0  # [s] of each recording of a termite, and of an episode
+PHASES = ("before", "after")
+FRACTIONS = (0.65, 0.13, 0.22)  # of animals: to learn from, to choose by, and kept aside
+MEASURES = ("slow_steps", "turning", "rests", "bouts")
+TREATMENT = {"termites": PHASES[1], "larvae": "deprived"}
+ANIMAL = {"termites": r"(.+)_(?:before|after)$", "larvae": r"(.+)"}
+"""The animal in the name of a recording."""
+QUICK_EPOCHS = 2
+
+
+def load_termites(folder: Path) -> Demonstrations:
+    """Import the first minutes of each female before pairing and after separation."""
+    tables = folder / "termites_alone"
+    tables.mkdir(parents=True, exist_ok=True)
+    for name, array in read_npz(TERMITES).items():
+        if name.endswith(PHASES):
+            kept = array[: int(KEPT * FRAME_RATE)] / STEPS_PER_MM
+            table = pd.DataFrame(kept, columns=["x_mm", "y_mm"])
+            table.insert(0, "time_s", np.arange(len(kept)) / FRAME_RATE)
+            table.to_csv(tables / f"{name}.csv", index=False)
+    out = folder / "termites_alone.npz"
+    if not out.exists():
+        options = ["--target=none", "--arena=disc", f"--piece={PIECE:g}", f"--fps={FRAME_RATE:g}"]
+        pattern = f"--name-pattern=(?P<condition>{'|'.join(PHASES)})$"
+        import_files(sorted(tables.glob("*.csv")), [*options, pattern], out)
+    return Demonstrations.load(out)
+
+
+def load_set(name: str, folder: Path) -> Demonstrations:
+    """Return the recordings of a set under both conditions."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if name == "termites":
+        return load_termites(folder)
+    return next(one for one in LIVING if one.name == name).load(folder)
+
+
+def trained(demos: Demonstrations, folder: Path, seed: int, quick: bool) -> Any:
+    """Return a finished run on the training animals of a split."""
+    wanted = RunSettings(
+        file=demos.name, species=CUSTOM, steps=1, seed=seed, baselines=False,
+        overrides={"offline_epochs": QUICK_EPOCHS} if quick else {},
+        **pipeline_settings(environment_id(CUSTOM), "default"),
+    )  # fmt: skip
+    preset = wanted.learner()
+    wanted = wanted.changed(steps=preset.n_timesteps, copies=preset.n_envs)
+    run = pipeline.open_run(wanted, folder, "benchmarks/treatments.py", demos)
+    pipeline.learn(run, wanted.algo, progress_bar=False)
+    return run
+
+
+def trivial_shifts(demos: Demonstrations, treated: int, names: list[str]) -> dict[str, float]:
+    """Return the mean shift of the animals that are learned from, over recordings, by quantity."""
+    known = demos.select(episodes=np.flatnonzero(demos.split != "test"))
+    recorded, unit = Rollouts.from_demonstrations(known), unit_of(demos)
+    quantities = (*quantities_of(recorded, unit), *measured_quantities(known, unit, MEASURES))
+    shifts = {}
+    for one in quantities:
+        if one.name in names:
+            table = pd.DataFrame({
+                "value": one.values(recorded), "recording": known.recording,
+                "treated": known.condition == treated,
+            })  # fmt: skip
+            mean = table.groupby(["treated", "recording"])["value"].mean().groupby("treated").mean()
+            shifts[one.name] = float(mean[True] - mean[False])
+    return shifts
+
+
+def split_rows(name: str, demos: Demonstrations, split: int, out: Path, quick: bool) -> Any:
+    """Return a table of the answers about the animals that a split keeps aside."""
+    file = out / "cells" / f"{name}-{split}{'-quick' * quick}.csv"
+    if file.exists():
+        return pd.read_csv(file)
+    by_animal = Splitting(by="group", pattern=ANIMAL[name], fractions=FRACTIONS, seed=split)
+    aside = deal(demos, by_animal)
+    run = trained(aside, out / "runs" / f"{name}-{split}{'-quick' * quick}", split, quick)
+    change = f"condition={TREATMENT[name]}"
+    truth = find_truth(RECORDINGS, run, repetitions=1)
+    table = ask([run], [change], truth=truth, measures=MEASURES).answers[0].table
+    treated = run.scenario.species.conditions.index(TREATMENT[name])
+    trivial = trivial_shifts(aside, treated, table["quantity"].tolist())
+    table = table.assign(
+        set=name, split=split, trivial=table["quantity"].map(trivial), commit=commit()
+    )
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with write_then_rename(file) as part:
+        table.to_csv(part, index=False)
+    return table
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each quantity of a set: coverage, and errors beside the trivial answer's."""
+    rows = []
+    for (name, quantity, unit), some in table.groupby(["set", "quantity", "unit"], sort=False):
+        held = (some["miss_low"] <= 0) & (some["miss_high"] >= 0)
+        inside = some["true"].between(some["calibrated_low"], some["calibrated_high"])
+        rows.append({
+            "set": name, "quantity": quantity, "unit": unit, "splits": len(some),
+            "true shift": some["true"].mean(), "predicted": some["shift"].mean(),
+            "trivial": some["trivial"].mean(),
+            "error": (some["shift"] - some["true"]).abs().mean(),
+            "error of the trivial answer": (some["trivial"] - some["true"]).abs().mean(),
+            "true shift inside": inside.mean(), "miss holds zero": held.mean(),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option(help="termites, larvae; repeatable.")] = None,
+    splits: Annotated[int, typer.Option(help="Of the animals, each with its own training.")] = 20,
+    quick: Annotated[bool, typer.Option(help="Termites, one split, two epochs.")] = False,
+    out: Annotated[Path, typer.Option(help="Where cells and tables go.")] = Path("out/treatments"),
+) -> None:
+    """Train, ask about the animals kept aside, and print one table."""
+    torch.set_num_threads(1)
+    console = Console(width=160)
+    tables = []
+    for name in only or (["termites"] if quick else list(TREATMENT)):
+        if name not in TREATMENT:
+            raise typer.BadParameter(f"{name!r} is unknown: choose among {', '.join(TREATMENT)}")
+        if not TERMITES.exists():
+            console.print(f"{name}: its recordings are not in {DATA}: left out")
+            continue
+        demos = load_set(name, out / "imported")
+        for split in range(1 if quick else splits):
+            tables.append(split_rows(name, demos, split, out, quick))
+            console.print(f"{name}: split {split + 1} is made")
+    if not tables:
+        return
+    table = pd.concat(tables, ignore_index=True)
+    for file, made in (("treatments.csv", table), ("summary.csv", summary(table))):
+        with write_then_rename(out / file) as part:
+            made.to_csv(part, index=False)
+    found = summary(table).round(3).to_markdown(index=False)
+    console.print(found, soft_wrap=True, highlight=False, markup=False)
+
+
+if __name__ == "__main__":
+    typer.run(main)
