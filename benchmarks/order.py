@@ -36,7 +36,7 @@ def measured(
     """What the table shows of one side, of the first individual."""
     lags = tuple(round(lag / rollouts.dt) for lag in seconds)
     found = order_measures(rollouts, lags, rest)
-    own = {one.name: values for one, values in zip(found.measures, found.values.T)}
+    own = dict(zip(found.names, found.values.T))
     starts = [np.flatnonzero(rollouts.demo == demo) for demo in np.unique(rollouts.demo)]
     times = min(map(len, starts))
 

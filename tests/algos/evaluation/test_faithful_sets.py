@@ -19,7 +19,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import cross_validated
-from benchmarks import faithful
+from benchmarks import faithful, order
 from benchmarks.faithful import SETS, DataSet, bar_rows, with_others
 
 CROSSED = [one for one in SETS if one.importing is None and one.folds > 1]
@@ -168,6 +168,13 @@ def test_rows_of_older_tables_stay_beside_new_ones() -> None:
     assert table[own]["label"].tolist() == [row["label"] for row in rows]
     assert table[~own]["label"].tolist() == older[~before]["label"].tolist()
     assert faithful.markdown(table).count("\n") == len(table) + 3  # a heading and a line of names
+
+
+def test_order_in_time_of_kept_cells_can_be_tabled() -> None:
+    recorded = Rollouts.from_demonstrations(load_packaged("silkmoth").select(split="test"))
+    values = order.measured(recorded, [1.0], np.zeros(1))
+    assert set(values) == {"turns at 1 s", "windings a minute", "sd of speed", "sd of turning"}
+    assert 0 < values["windings a minute"] < 10 and abs(values["turns at 1 s"]) < 1
 
 
 def test_a_lockbox_has_its_own_seed_and_group_and_is_asked_on_its_test_split(
