@@ -79,7 +79,8 @@ def verdicts() -> str:
         if own.empty:
             continue
         differ = dict(zip(own["seed"], own["complaints"], strict=True))
-        areas = zip(own["auc"], own["auc_low"], own["auc_high"], strict=True)
+        known = own.dropna(subset="auc")
+        areas = zip(known["auc"], known["auc_low"], known["auc_high"], strict=True)
         rows.append(
             [
                 name,
@@ -87,7 +88,8 @@ def verdicts() -> str:
                 ", ".join(map(str, own["seed"])),
                 *(", ".join(map(str, own[word])) for word in WORDS),
                 by_seed({seed: text for seed, text in differ.items() if text}, len(own)) or "–",
-                ", ".join(f"{area:.2f} [{low:.2f}, {high:.2f}]" for area, low, high in areas),
+                ", ".join(f"{area:.2f} [{low:.2f}, {high:.2f}]" for area, low, high in areas)
+                or "–",
                 "; ".join(
                     f"{label} ({seeds(list(of['seed']))})"
                     for label, of in missed.groupby("label", sort=False)
