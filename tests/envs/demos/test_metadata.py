@@ -102,8 +102,8 @@ def test_metadata_from_names_of_recordings(files: list[Path], tmp_path: Path) ->
     assert all(one.condition == one.recording.startswith("drug") for one in demos)
     for wrong, message in (
         ("(", "no regular expression"),
-        ("(sham)", "name them"),
-        ("(?P<age>sham)", "the groups age"),
+        ("(sham)", "groups are named nothing"),
+        ("(?P<age>sham)", "groups are named age"),
         ("(?P<condition>sham)", "does not fit recording 'drug_0'"),
         ("_(?P<condition>.)", "6 conditions"),
         ("(?P<split>sham|drug)", "split 'sham' is unknown"),

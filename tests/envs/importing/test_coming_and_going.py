@@ -117,7 +117,7 @@ def test_of_a_group_one_animal_is_described_for_all(tmp_path: Path) -> None:
     file = write_tracks(tmp_path / "pond.csv", np.cumsum(steps, axis=0), [*map(str, range(40))])
     demos_file = tmp_path / "pond.npz"
     said = animarl("import", file, "--fps", 10, "--target", "none", "--out", demos_file)
-    assert "40 that are alike, 0 to 39" in said and said.count("speed of") == 1
+    assert "40 that are alike, 0 to 39" in said and said.count("(each of 40)") == 1
     said = animarl("fit", demos_file, "--bootstrap", 0)
     assert said.count("each of 40") >= 1 and len(said.splitlines()) < 20
 
