@@ -84,8 +84,8 @@ OTHERS = {
         None,
         typer.Option(
             min=1,
-            help="Folds that are trained at once, by default one for each core; the results do "
-            "not depend on it.",
+            help="Folds that are trained at once, and acting rules that are tried at once, by "
+            "default one for each core; the results do not depend on it.",
         ),
     ),
     "quick": shared.option(
@@ -196,10 +196,11 @@ def run_command(**given: Any) -> None:
     begin("2/4", f"training {run.settings.algo.upper()}")
     if reason := run.record.get("reasons", {}).get("cloning"):
         console.print(f"recipe {run.settings.cloning} (another: --cloning): {reason}")
-    pipeline.learn_all(run)
+    processes = given["processes"] or joblib.cpu_count()
+    pipeline.learn_all(run, processes=processes)
     tested = "the test split"
     if folds:
-        processes = min(given["processes"] or joblib.cpu_count(), folds - 1)
+        processes = min(processes, folds - 1)
         tested = f"all recordings, each by a simulator that was trained without it ({folds} folds)"
         if given["folds"] is None:
             training = sum(s for stage, s in run.wall_times().items() if "training" in stage)

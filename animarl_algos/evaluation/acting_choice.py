@@ -10,8 +10,11 @@ stop where their recording merely stops. They are made in rounds, with other ran
 until two halves of the rounds choose the same.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -111,6 +114,7 @@ def choose_acting(
     *,
     seed: int,
     cue: Cue | None = None,
+    processes: int = 1,
 ) -> ActingChoice:
     """Return the acting rule under whose rollouts the recordings are likeliest.
 
@@ -130,6 +134,8 @@ def choose_acting(
         To try as well where all ``rules`` fall short of other recordings.
     seed, cue
         Of the worlds, and what policies are told of the condition.
+    processes
+        Rules that are rolled out at once; the choice does not depend on it.
     """
     taking_part = [metric for metric in METRICS if metric.chooses]
     realism = Likelihood.of(Prepared(demos), own=taking_part)
@@ -151,26 +157,30 @@ def choose_acting(
         )
         return first if behind[first] <= MARGIN else best
 
+    def roll_out(rule: Acting, own: int) -> Floats:
+        """Return the log likelihoods of the recordings under a round of rollouts of a rule."""
+        simulated = collect_rollouts(
+            make_world,
+            policy_for(rule, own),
+            method="candidate",
+            seed=own,
+            repetitions=repetitions,
+            cue=cue,
+        )
+        return realism.components(simulated)
+
     while number < MOST_ROUNDS and not repeats:
         own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-        waiting = [*alive, *(further if number == 0 else ())]
+        batches = [alive, list(further)] if number == 0 else [alive]
         title = f"choice of acting, round {number + 1} of at most {MOST_ROUNDS}"
-        with progress_display(title, "rule", len(waiting)) as bar:
-            for place, rule in enumerate(waiting):
-                if number == 0 and place == len(rules):
-                    near = min(above(others, each[0]) for each in tried.values()) <= MARGIN
-                    if near:
-                        break
-                simulated = collect_rollouts(
-                    make_world,
-                    policy_for(rule, own),
-                    method="candidate",
-                    seed=own,
-                    repetitions=repetitions,
-                    cue=cue,
-                )
-                tried.setdefault(rule, []).append(realism.components(simulated))
-                bar.update()
+        with progress_display(title, "rule", sum(map(len, batches))) as bar:
+            for place, batch in enumerate(batches):
+                if place and min(above(others, each[0]) for each in tried.values()) <= MARGIN:
+                    break
+                work = partial(roll_out, own=own)
+                for rule, likely in zip(batch, on_cores(work, batch, processes)):
+                    tried.setdefault(rule, []).append(likely)
+                    bar.update()
         number, alive = number + 1, list(tried) if number == 0 else alive
         if number > 1:
             repeats = chosen_by(slice(0, None, 2)) == chosen_by(slice(1, None, 2))
@@ -190,6 +200,37 @@ def choose_acting(
     )
     score = float(np.nanmean(realism.total(others)))
     return ActingChoice(chosen, candidates, score, above(others, means[chosen]), repeats)
+
+
+def on_cores(
+    work: Callable[[Acting], Floats], rules: Sequence[Acting], processes: int
+) -> Iterator[Floats]:
+    """Yield the work of each rule in their order, so many at once where processes can be forked.
+
+    A trained learner cannot be sent to another process, but a fork of this one has it.
+    """
+    processes = min(processes, len(rules))
+    if processes < 2 or "fork" not in multiprocessing.get_all_start_methods():
+        yield from map(work, rules)
+        return
+    _forked.append(work)
+    try:
+        fork = multiprocessing.get_context("fork")
+        with fork.Pool(processes, _leave_interrupts_to_parent) as pool:
+            yield from pool.imap(_work_of, rules)
+    finally:
+        _forked.pop()
+
+
+_forked: list[Callable[[Acting], Floats]] = []
+
+
+def _leave_interrupts_to_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _work_of(rule: Acting) -> Floats:
+    return _forked[-1](rule)
 
 
 def errors_above(difference: Floats, recording: NDArray[np.str_]) -> float:

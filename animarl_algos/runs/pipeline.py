@@ -145,10 +145,12 @@ def fit(run: Run) -> LocomotionFit:
         return result
 
 
-def learn(run: Run, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
+def learn(
+    run: Run, algo: str, *, progress_bar: bool = True, processes: int = 1
+) -> SequenceQLearning:
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
-    Goes on from the last checkpoint, exactly.
+    Goes on from the last checkpoint, exactly. So many ``processes`` choose how to act.
     """
     torch.set_num_threads(1)
     with run.lock():
@@ -161,7 +163,7 @@ def learn(run: Run, algo: str, *, progress_bar: bool = True) -> SequenceQLearnin
         unfinished = latest is not None and online and steps_done(latest) < settings.steps
         if run.has_policy(algo) and not unfinished:
             run.load_policy(algo, model)
-            return run.set_acting_rule(algo, model)
+            return run.set_acting_rule(algo, model, processes)
         if latest is not None:
             load_checkpoint(model, checkpoints)
         session = logs / algo / f"{len(list((logs / algo).glob('[0-9]*'))):03d}"
@@ -180,13 +182,13 @@ def learn(run: Run, algo: str, *, progress_bar: bool = True) -> SequenceQLearnin
         run.acting_file(algo).unlink(missing_ok=True)  # chosen for another policy
         run.amplify_trait_inputs(algo, model)
         run.save_policy(algo, model)
-        return run.set_acting_rule(algo, model)
+        return run.set_acting_rule(algo, model, processes)
 
 
-def learn_all(run: Run, *, progress_bar: bool = True) -> None:
+def learn_all(run: Run, *, progress_bar: bool = True, processes: int = 1) -> None:
     """Stages 2 and 3 of the run's learner and of those that it is compared with."""
     for algo in (run.settings.algo, *run.settings.compared):
-        learn(run, algo, progress_bar=progress_bar)
+        learn(run, algo, progress_bar=progress_bar, processes=processes)
 
 
 def cross_validate(run: Run, folds: int, *, processes: int = 1, progress_bar: bool = True) -> None:

@@ -428,11 +428,13 @@ class Run:
                 f"{file}: it is damaged ({error}): remove it and train again"
             ) from None
 
-    def set_acting_rule(self, algo: str, model: SequenceQLearning) -> SequenceQLearning:
+    def set_acting_rule(
+        self, algo: str, model: SequenceQLearning, processes: int = 1
+    ) -> SequenceQLearning:
         """Set the acting rule of a trained ``model``; choose it if there is none yet."""
         rule = self.acting_rule or self.settings.acting
         if rule == CHOSEN and not self.acting_file(algo).exists():
-            self._choose_acting(algo, model)
+            self._choose_acting(algo, model, processes)
         model.policy.acting = self.acting(algo)
         return model
 
@@ -458,7 +460,7 @@ class Run:
         reason = {f"traits of {algo}": f"amplified, or animals were too much alike: {factors}"}
         self._write_record(self.record | {"reasons": self.record.get("reasons", {}) | reason})
 
-    def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:
+    def _choose_acting(self, algo: str, model: SequenceQLearning, processes: int) -> None:
         seed = self.settings.seed
         demos = acting_choice.choice_episodes(self.learnable_demos, seed)
         fitted = model.fit_temperature(model.demonstration_data().val)
@@ -470,6 +472,7 @@ class Run:
             acting_choice.further_rules(fitted),
             seed=seed,
             cue=_cue(model),
+            processes=processes,
         )
         run_files.write_json(self.acting_file(algo), choice.to_json())
 

@@ -71,7 +71,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 21_000,
     "animarl_algos.cli": 22_300,
     "animarl_algos.data": 8_560,
-    "animarl_algos.evaluation": 42_430,
+    "animarl_algos.evaluation": 42_650,
     "animarl_algos.learner": 18_199,
     "animarl_algos.losses": 3_200,
     "animarl_algos.networks": 12_158,
@@ -96,7 +96,7 @@ ALL_TOKENS = 344_700
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 3_056
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 31_914
+TEST_LINES = 31_945
 """Most lines of Python in the tests; they are to be 24,000."""
 
 

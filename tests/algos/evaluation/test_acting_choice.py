@@ -86,6 +86,29 @@ def test_the_rule_whose_rollouts_are_like_the_recordings_is_chosen() -> None:
     assert Acting.from_json(json.loads(json.dumps(found.to_json()))["acting"]) == good
 
 
+def test_the_choice_does_not_depend_on_the_number_of_processes() -> None:
+    demos = choice_episodes(load_packaged("agent"), seed=0).select(episodes=np.arange(6))
+    world = partial(make_world, make_scenario("agent", demos=demos, split=None))
+    rules = [Acting.boltzmann(1.0), Acting.boltzmann(0.5)]
+
+    def policy_for(rule: Acting, seed: int) -> Policy:
+        return RandomPolicy(seed + (rule == rules[0]))
+
+    one, two = (
+        choose_acting(policy_for, world, demos, rules, seed=0, processes=number).to_json()
+        for number in (1, 2)
+    )
+    assert one == two
+
+
+def test_an_error_of_another_process_is_raised_here() -> None:
+    def work(rule: Acting) -> Any:
+        raise InputError(f"no {rule}")
+
+    rules = [Acting(), Acting.boltzmann(1.0)]
+    refuses("no greedy", list, acting_choice.on_cores(work, rules, 2))
+
+
 def test_a_start_counts_with_its_recording() -> None:
     difference = np.array([1.0, 1.0, 1.0, 1.0, 0.0, np.nan])
     alone = errors_above(difference, np.arange(6).astype(str))
@@ -133,7 +156,7 @@ def chosen_among(
         """Stands in for the likelihood: its matrix is the likelihood of each recording."""
 
         @classmethod
-        def of(cls, prepared: Prepared) -> Known:
+        def of(cls, prepared: Prepared, own: Any = ()) -> Known:
             return cls()
 
         def of_others(self, repetitions: int, rng: np.random.Generator) -> np.ndarray:
