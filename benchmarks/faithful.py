@@ -435,8 +435,8 @@ def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[di
 def cell_row(found: Verdict) -> dict[str, Any]:
     """What the verdict of a cell says: how many questions have which word, and what differs."""
     classifier = {"auc": found.auc.estimate, "auc_low": found.auc.low, "auc_high": found.auc.high}
-    said = {"recordings": found.recordings, "complaints": "; ".join(found.complaints)}
-    return said | found.counts | classifier | {"law": compare_with_law(found.rows())}
+    differing = {"recordings": found.recordings, "complaints": "; ".join(found.complaints)}
+    return differing | found.counts | classifier | {"law": compare_with_law(found.rows())}
 
 
 def main(

@@ -45,6 +45,7 @@ PHASES = ("before", "after")
 FRACTIONS = (0.65, 0.13, 0.22)  # of animals: to learn from, to choose by, and kept aside
 MEASURES = ("slow_steps", "turning", "rests", "bouts")
 TREATMENT = {"termites": PHASES[1], "larvae": "deprived"}
+RECORDINGS_OF = {"termites": TERMITES, "larvae": DATA / "larvae_fed_deprived"}
 ANIMAL = {"termites": r"(.+)_(?:before|after)$", "larvae": r"(.+)"}
 """The animal in the name of a recording."""
 QUICK_EPOCHS = 2
@@ -159,7 +160,7 @@ def main(
     for name in only or (["termites"] if quick else list(TREATMENT)):
         if name not in TREATMENT:
             raise typer.BadParameter(f"{name!r} is unknown: choose among {', '.join(TREATMENT)}")
-        if not TERMITES.exists():
+        if not RECORDINGS_OF[name].exists():
             console.print(f"{name}: its recordings are not in {DATA}: left out")
             continue
         demos = load_set(name, out / "imported")

@@ -249,9 +249,8 @@ def _components(
         metric = ORDER_METRICS[plain_name(name)]
         if metric.kind == ORDER or metric.whole:
             yield _of_episodes(name, metric.kind, values)
-    episodes = prepared.episodes(rollouts)
     for metric in own:
-        yield _of_episodes(metric.key, OWN, metric.measure(episodes))
+        yield _of_episodes(metric.key, OWN, metric.measure(prepared.episodes(rollouts)))
 
 
 def _of_episodes(name: str, kind: str, values: Floats) -> Component:
