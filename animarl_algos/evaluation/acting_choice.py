@@ -137,8 +137,7 @@ def choose_acting(
     processes
         Rules that are rolled out at once; the choice does not depend on it.
     """
-    taking_part = [metric for metric in METRICS if metric.chooses]
-    realism = Likelihood.of(Prepared(demos), own=taking_part)
+    realism = Likelihood.of(Prepared(demos), own=[one for one in METRICS if one.chooses])
     repetitions = max(1, round(ROLLOUTS / demos.num_episodes))
     others = realism.of_others(repetitions, np.random.default_rng(seed))
     tried: dict[Acting, list[Floats]] = {rule: [] for rule in rules}
@@ -215,8 +214,7 @@ def on_cores(
         return
     _forked.append(work)
     try:
-        fork = multiprocessing.get_context("fork")
-        with fork.Pool(processes, _leave_interrupts_to_parent) as pool:
+        with multiprocessing.get_context("fork").Pool(processes, _obey_parent_alone) as pool:
             yield from pool.imap(_work_of, rules)
     finally:
         _forked.pop()
@@ -225,8 +223,10 @@ def on_cores(
 _forked: list[Callable[[Acting], Floats]] = []
 
 
-def _leave_interrupts_to_parent() -> None:
+def _obey_parent_alone() -> None:
+    """Leave Ctrl-C to the parent, and end at once, without its words, when it says so."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _work_of(rule: Acting) -> Floats:
