@@ -288,8 +288,9 @@ def _load_demos(demos: Demos, species: Species | None) -> Demonstrations | None:
         return load_packaged(species.name) if species is not None and shipped else None
     if not isinstance(demos, str | Path):
         raise InputError(
-            f"demos is {demos!r}: give 'packaged', a file, a Demonstrations object or None"
+            f"demos is {demos!r}: give 'packaged', a file, a published set by its name, a "
+            "Demonstrations object or None"
         )
-    from animarl_envs.importing.readers import read
+    from animarl_envs.importing.sets import read_named
 
-    return read(demos)
+    return read_named(demos)

@@ -66,6 +66,7 @@ from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import track
+from animarl_envs.importing.sets import load_set, named_set
 from animarl_envs.species import CUSTOM, SPECIES
 from animarl_envs.worlds import make_world
 
@@ -170,9 +171,10 @@ class DataSet:
     """A set of demonstrations: how it is imported, how it is split, and what must hold.
 
     ``importing`` are the arguments of ``animarl import``, paths below the data folder; without them
-    the set is the packaged one whose name its own begins with. ``folds``: cross-validated over
-    recordings, or over episodes where there are fewer than three recordings. ``group`` says what
-    is known of it: ``TUNED``, ``ONCE`` or ``UNSEEN``; the name of an unseen set is its file.
+    the set is the packaged one whose name its own begins with, or the ``published`` one.
+    ``folds``: cross-validated over recordings, or over episodes where there are fewer than three
+    recordings. ``group`` says what is known of it: ``TUNED``, ``ONCE`` or ``UNSEEN``; the name of
+    an unseen set is its file.
     ``pursuers``: of chases that are made here.
     """
 
@@ -182,6 +184,7 @@ class DataSet:
     folds: int = 1
     group: str = TUNED
     pursuers: int = 0
+    published: str = ""
 
     @property
     def label(self) -> str:
@@ -190,19 +193,26 @@ class DataSet:
 
     def files(self) -> list[Path]:
         """The recordings, none where they are not there."""
+        if self.published:
+            one = named_set(self.published)
+            return [file for name in one.sha256 if (file := DATA / one.folder / name).exists()]
         pattern = "" if self.importing is None else shlex.split(self.importing)[0]
         return sorted(DATA.glob(pattern)) if pattern else []
 
     @property
     def there(self) -> bool:
         """Whether it can be loaded here."""
-        return self.importing is None or self.pursuers > 0 or bool(self.files())
+        made = self.importing is None and not self.published
+        return made or self.pursuers > 0 or bool(self.files())
 
     def load(self, folder: Path) -> Demonstrations:
         if self.group == UNSEEN:
             return Demonstrations.load(Path(self.name))
         if self.name.endswith(STOPPED):
             return stopped(load_packaged(self.name.removesuffix(STOPPED)))
+        if self.published:
+            one = named_set(self.published)
+            return load_set(one.name) if one.imported.exists() else one.build(DATA)
         if self.importing is None:
             return load_packaged(self.name.removesuffix(CROSSED))
         folder = folder.resolve()
@@ -260,22 +270,16 @@ SETS = (
         for number in (1, 3)
     ),
     DataSet("agent" + STOPPED, FILMED, group=ONCE),
-    DataSet("moths", MOTHS, "silkmoth_mothvr/raw/*.csv --source mothvr", FOLDS),
+    DataSet("moths", MOTHS, folds=FOLDS, published="moths"),
     DataSet(
-        "termites", (*WALLED, Bar("duration", "alike")),
-        "termite_tandem/tracks_30fps_int16.npz --option kind=Cf --arena-width 145 "
-        "--farther-than 0.36786 --closer-than 0.12262 --drop-jumps", FOLDS,
+        "termites", (*WALLED, Bar("duration", "alike")), folds=FOLDS, published="termites",
     ),
     DataSet(
         "fly-groups", WALLED,
         "fly_groups12/tracks_24fps_int16.npz --individuals fly_1,fly_2,fly_3 --piece 60", FOLDS,
     ),
     # Smoothed as the paper's flies: the tracks jump by a pixel, as far as a fly walks in a frame.
-    DataSet(
-        "courtship", WALLED,
-        "fly_courtship_sleapclip/clip.2node.slp --fps 25 --target female --keypoint thorax "
-        "--smoothing 2 --decision-rate 12.5", FOLDS,
-    ),
+    DataSet("courtship", WALLED, folds=FOLDS, published="courtship"),
 )  # fmt: skip
 
 

@@ -12,15 +12,12 @@ Finished cells are kept under ``--out``.
 
 from __future__ import annotations
 
-import gzip
 import json
-import shlex
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pandas as pd
 import torch
 import typer
@@ -31,7 +28,7 @@ from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import ORDER
 from animarl_algos.evaluation.statistics import Interval
 from animarl_envs.demos.demonstrations import Demonstrations
-from benchmarks.faithful import DATA, DataSet, import_files, judged
+from benchmarks.faithful import DATA, DataSet, judged
 
 MEASURES = (
     *(AUC, SEQUENCE, ORDER, "kinematic", "interactive", "mean_speed", "spread_of_mean_speed"),
@@ -47,64 +44,35 @@ RECIPES: dict[str, tuple[str, dict[str, Any]]] = {
 """Recipe of the clone and settings over it, by the name in the table."""
 FIRST = 40  # larvae of each condition
 ROLLOUTS, QUICK_ROLLOUTS, QUICK_EPOCHS = 120, 16, 2
-PAIRS = "termite_tandem/tracks_30fps_int16.npz --arena-width 145 --drop-jumps "
 
 
 @dataclass(frozen=True)
 class LivingSet(DataSet):
-    """Recordings of living animals."""
+    """Recordings of living animals; of ``first``, so many recordings of each condition."""
 
-    def load(self, folder: Path) -> Any:
-        """Return the demonstrations, imported at the first time; of larvae the first of each."""
-        out = folder / "larvae.npz"
-        if self.name != "larvae":
-            return super().load(folder)
-        if out.exists():
-            return Demonstrations.load(out)
-        folder.mkdir(parents=True, exist_ok=True)
-        files = []
-        for condition in ("fed", "deprived"):
-            source = DATA / "larvae_fed_deprived" / f"{condition}.csv.gz"
-            files.append(folder / f"larvae_{condition}.csv")
-            with gzip.open(source, "rt") as lines:
-                files[-1].write_text("".join(first_animals(lines, FIRST)))
-        import_files(files, shlex.split(str(self.importing)), out)
-        return Demonstrations.load(out)
+    first: int | None = None
 
-    def files(self) -> list[Path]:
-        """Return the recordings."""
-        return [DATA / "larvae_fed_deprived"] if self.name == "larvae" else super().files()
+    def load(self, folder: Path) -> Demonstrations:
+        """Return the demonstrations, imported at the first time."""
+        demos = super().load(folder)
+        return demos if self.first is None else first_recordings(demos, self.first)
 
 
 SETS = (
-    LivingSet("larvae", (), "--target none --name-pattern '(?P<condition>fed|deprived)'"),
-    LivingSet(
-        "pairs",
-        (),
-        PAIRS + "--option kind=Cf --arena disc --decision-rate 10 --keep-last 120 --piece 30 "
-        "--target none",
-    ),
-    LivingSet(
-        "termites", (), PAIRS + "--option kind=Cf --farther-than 0.36786 --closer-than 0.12262"
-    ),
-    LivingSet(
-        "fish15",
-        (),
-        "fish_shoals/fish15.csv --fps 32 --target none --arena disc --decision-rate 16 "
-        "--max-gap 0.2 --piece 2",
-    ),
+    LivingSet("larvae", (), published="larvae", first=FIRST),
+    LivingSet("pairs", (), published="termite_pairs"),
+    LivingSet("termites", (), published="termites"),
+    LivingSet("fish15", (), published="fish15"),
 )
 
 
-def first_animals(lines: Iterator[str], count: int) -> Iterator[str]:
-    """Yield the heading and the rows of the first animals, named in the first column."""
-    seen: set[str] = set()
-    yield from islice(lines, 1)
-    for line in lines:
-        name = line.partition(",")[0]
-        if name in seen or len(seen) < count:
-            seen.add(name)
-            yield line
+def first_recordings(demos: Demonstrations, count: int) -> Demonstrations:
+    """Return the episodes of the first recordings of each condition."""
+    kept: list[str] = []
+    for condition in (0, 1):
+        names = demos.recording[demos.condition == condition].tolist()
+        kept += list(dict.fromkeys(names))[:count]
+    return demos.select(episodes=np.flatnonzero(np.isin(demos.recording, kept)))
 
 
 def main(

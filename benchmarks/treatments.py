@@ -8,12 +8,14 @@ are kept aside. A simulator learns from the others under both conditions and is 
 ``animarl whatif --change condition=NAME`` asks, what the treatment would do to those aside.
 Beside its shift stand the true one, which their own recordings show, and the trivial answer: the
 mean shift of the animals that were learned from. Termites: the same female before she was paired
-and after her partner was taken away. Larvae: fed and deprived of protein, other animals each. The
-recordings lie in $ANIMARL_DATA (by default ../shared/data). Finished splits are kept.
+and after her partner was taken away. Larvae: fed and deprived of protein, other animals each. Gray
+bats: a free channel and obstacles in it, alone and in company, other flights each. The recordings
+lie in $ANIMARL_DATA (by default ../shared/data). Finished splits are kept.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,48 +35,44 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import unit_of
-from animarl_envs.files import read_npz, write_then_rename
+from animarl_envs.files import write_then_rename
 from animarl_envs.species import CUSTOM
-from benchmarks.faithful import DATA, commit, import_files
-from benchmarks.living import SETS as LIVING
+from benchmarks.faithful import DATA, commit
+from benchmarks.living import LivingSet
 
-TERMITES = DATA / "termites_alone" / "females_5fps_mm100_int16.npz"
-FRAME_RATE, STEPS_PER_MM = 5.0, 100.0
-KEPT, PIECE = 600.0, 60.0  # [s] of each recording of a termite, and of an episode
-PHASES = ("before", "after")
 FRACTIONS = (0.65, 0.13, 0.22)  # of animals: to learn from, to choose by, and kept aside
 MEASURES = ("slow_steps", "turning", "rests", "bouts")
-TREATMENT = {"termites": PHASES[1], "larvae": "deprived"}
-RECORDINGS_OF = {"termites": TERMITES, "larvae": DATA / "larvae_fed_deprived"}
-ANIMAL = {"termites": r"(.+)_(?:before|after)$", "larvae": r"(.+)"}
-"""The animal in the name of a recording."""
+LARVAE = 60  # of each condition
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """A published set under two conditions.
+
+    ``name`` is its own in tables, ``treated`` the condition that is asked for, and ``animal`` a
+    pattern that finds the animal in the name of a recording. ``first`` recordings of each
+    condition are used.
+    """
+
+    name: str
+    published: str
+    treated: str
+    animal: str = r"(.+)"
+    first: int | None = None
+
+    @property
+    def recordings(self) -> LivingSet:
+        """The set of the table of living animals."""
+        return LivingSet(self.name, (), published=self.published, first=self.first)
+
+
+TREATMENTS = (
+    Treatment("termites", "termites_alone", "after", r"(.+)_(?:before|after)$"),
+    Treatment("larvae", "larvae", "deprived", first=LARVAE),
+    Treatment("bats, obstacles", "bats_obstacles", "obstacles"),
+    Treatment("bats, company", "bats_company", "company"),
+)
 QUICK_EPOCHS = 2
-
-
-def load_termites(folder: Path) -> Demonstrations:
-    """Import the first minutes of each female before pairing and after separation."""
-    tables = folder / "termites_alone"
-    tables.mkdir(parents=True, exist_ok=True)
-    for name, array in read_npz(TERMITES).items():
-        if name.endswith(PHASES):
-            kept = array[: int(KEPT * FRAME_RATE)] / STEPS_PER_MM
-            table = pd.DataFrame(kept, columns=["x_mm", "y_mm"])
-            table.insert(0, "time_s", np.arange(len(kept)) / FRAME_RATE)
-            table.to_csv(tables / f"{name}.csv", index=False)
-    out = folder / "termites_alone.npz"
-    if not out.exists():
-        options = ["--target=none", "--arena=disc", f"--piece={PIECE:g}", f"--fps={FRAME_RATE:g}"]
-        pattern = f"--name-pattern=(?P<condition>{'|'.join(PHASES)})$"
-        import_files(sorted(tables.glob("*.csv")), [*options, pattern], out)
-    return Demonstrations.load(out)
-
-
-def load_set(name: str, folder: Path) -> Demonstrations:
-    """Return the recordings of a set under both conditions."""
-    folder.mkdir(parents=True, exist_ok=True)
-    if name == "termites":
-        return load_termites(folder)
-    return next(one for one in LIVING if one.name == name).load(folder)
 
 
 def trained(demos: Demonstrations, folder: Path, seed: int, quick: bool) -> Any:
@@ -108,21 +106,24 @@ def trivial_shifts(demos: Demonstrations, treated: int, names: list[str]) -> dic
     return shifts
 
 
-def split_rows(name: str, demos: Demonstrations, split: int, out: Path, quick: bool) -> Any:
+def split_rows(
+    treatment: Treatment, demos: Demonstrations, split: int, out: Path, quick: bool
+) -> Any:
     """Return a table of the answers about the animals that a split keeps aside."""
-    file = out / "cells" / f"{name}-{split}{'-quick' * quick}.csv"
+    name = f"{treatment.name.replace(', ', '-')}-{split}{'-quick' * quick}"
+    file = out / "cells" / f"{name}.csv"
     if file.exists():
         return pd.read_csv(file)
-    by_animal = Splitting(by="group", pattern=ANIMAL[name], fractions=FRACTIONS, seed=split)
+    by_animal = Splitting(by="group", pattern=treatment.animal, fractions=FRACTIONS, seed=split)
     aside = deal(demos, by_animal)
-    run = trained(aside, out / "runs" / f"{name}-{split}{'-quick' * quick}", split, quick)
-    change = f"condition={TREATMENT[name]}"
+    run = trained(aside, out / "runs" / name, split, quick)
     truth = find_truth(RECORDINGS, run, repetitions=1)
+    change = f"condition={treatment.treated}"
     table = ask([run], [change], truth=truth, measures=MEASURES).answers[0].table
-    treated = run.scenario.species.conditions.index(TREATMENT[name])
+    treated = run.scenario.species.conditions.index(treatment.treated)
     trivial = trivial_shifts(aside, treated, table["quantity"].tolist())
     table = table.assign(
-        set=name, split=split, trivial=table["quantity"].map(trivial), commit=commit()
+        set=treatment.name, split=split, trivial=table["quantity"].map(trivial), commit=commit()
     )
     file.parent.mkdir(parents=True, exist_ok=True)
     with write_then_rename(file) as part:
@@ -148,7 +149,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def main(
-    only: Annotated[list[str] | None, typer.Option(help="termites, larvae; repeatable.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Such as termites.")] = None,
     splits: Annotated[int, typer.Option(help="Of the animals, each with its own training.")] = 20,
     quick: Annotated[bool, typer.Option(help="Termites, one split, two epochs.")] = False,
     out: Annotated[Path, typer.Option(help="Where cells and tables go.")] = Path("out/treatments"),
@@ -157,16 +158,18 @@ def main(
     torch.set_num_threads(1)
     console = Console(width=160)
     tables = []
-    for name in only or (["termites"] if quick else list(TREATMENT)):
-        if name not in TREATMENT:
-            raise typer.BadParameter(f"{name!r} is unknown: choose among {', '.join(TREATMENT)}")
-        if not RECORDINGS_OF[name].exists():
+    known = {one.name: one for one in TREATMENTS}
+    for name in only or (["termites"] if quick else list(known)):
+        if name not in known:
+            raise typer.BadParameter(f"{name!r} is unknown: choose among {'; '.join(known)}")
+        recordings = known[name].recordings
+        if not recordings.there:
             console.print(f"{name}: its recordings are not in {DATA}: left out")
             continue
-        demos = load_set(name, out / "imported")
+        demos = recordings.load(out)
         for split in range(1 if quick else splits):
-            tables.append(split_rows(name, demos, split, out, quick))
-            console.print(f"{name}: split {split + 1} is made")
+            tables.append(split_rows(known[name], demos, split, out, quick))
+            console.print(f"{name}: split {split + 1} is made", highlight=False)
     if not tables:
         return
     table = pd.concat(tables, ignore_index=True)

@@ -30,20 +30,21 @@ from animarl_envs.errors import InputError, require
 from animarl_envs.importing.minari_io import export_minari, export_packaged
 from animarl_envs.importing.readers import available_readers
 from animarl_envs.importing.sessions import conditions_of
+from animarl_envs.importing.sets import named_set, published_sets
 
 app = typer.Typer(
     epilog="For example: animarl data show agent. COMMAND --help gives more.",
     no_args_is_help=True,
     **SETTINGS,
 )
-FILE = "A demonstrations file, or a packaged set, such as agent or shoal."
+FILE = "A demonstrations file, or a packaged or published set, such as agent or termites."
 OUT = typer.Option(help="Where to write.")
 MOST_WARNINGS = 20
 
 
 @app.callback()
 def data_commands() -> None:
-    """Look at, check, split, merge, convert and plot demonstrations."""
+    """Get, look at, check, split, merge, convert and plot demonstrations."""
 
 
 @app.command("sources")
@@ -58,6 +59,35 @@ def sources_command() -> None:
     for reader in available_readers():
         table.add_row(reader.name, reader.description, ", ".join(reader.options))
     wide_console().print(table)
+
+
+@app.command("get")
+@with_help(
+    name=typer.Argument(help="Name of a published set; without it all are listed."),
+    folder="Take its files from this folder, not from the network; default: $ANIMARL_DATA.",
+)
+def get_command(name: str | None = None, folder: Path | None = None) -> None:
+    """Fetch published recordings and import them; then they are known by their name.
+
+    Examples:
+
+      animarl data get
+
+      animarl data get termites_alone
+    """
+    console = wide_console()
+    if name is None:
+        table = Table("set", "recordings", "MB", "licence", "from", "here")
+        for one in published_sets().values():
+            where = "the network" if one.address else f"--folder ({one.origin})"
+            here = "yes" if one.imported.exists() else "no"
+            table.add_row(one.name, one.title, f"{one.bytes / 1e6:.1f}", one.licence, where, here)
+        console.print(table)
+        return
+    one = named_set(name)
+    show(one.build(folder))
+    console.print(f"Cite: {one.citation}; {one.origin}; licence: {one.licence}")
+    console.print(f"Next: animarl run {name} --out runs/{name}")
 
 
 @app.command("show")

@@ -24,7 +24,7 @@ from animarl_envs.errors import InputError, printable
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.netcdf_io import write_netcdf
 from animarl_envs.importing.nwb_io import write_nwb
-from animarl_envs.importing.readers import read
+from animarl_envs.importing.sets import published_sets, read_named
 
 CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 ALL = "all"
@@ -123,17 +123,20 @@ def command_line() -> str:
 
 
 def load(file: str, source: str | None = None, *, takes: Collection[str] = ()) -> Demonstrations:
-    """Return a packaged set by name, or those of a file; see :func:`suggest_import_on_error`."""
+    """Return a packaged or published set by its name, or the demonstrations of a file.
+
+    ``takes`` is as in :func:`suggest_import_on_error`.
+    """
     path = Path(file)
     if file in packaged_names() and not path.exists():
         return load_packaged(file)
-    if not path.exists():
+    if not path.exists() and file not in published_sets():
         raise InputError(
-            f"{file}: there is no such file, and packaged are {', '.join(packaged_names())}: check "
-            "the path"
+            f"{file}: there is no such file, packaged are {', '.join(packaged_names())}, and "
+            f"published sets are {', '.join(published_sets())}: check the path"
         )
     with suggest_import_on_error(file, takes):
-        return read(file, source)
+        return read_named(file, source)
 
 
 @contextmanager

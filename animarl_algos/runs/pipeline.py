@@ -43,7 +43,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits, run_folds
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
-from animarl_envs.importing.readers import read
+from animarl_envs.importing.sets import read_named
 from animarl_envs.scenario import PACKAGED, SCALES_OF_CELLS, make_scenario
 
 ACTING_BY_CELLS = "boltzmann:1"
@@ -110,10 +110,10 @@ def check_run(settings: RunSettings, demos: Demonstrations) -> None:
 def load_demonstrations(
     file: str, source: str | None = None, species: str | None = None
 ) -> Demonstrations:
-    """Return those of a file, or those packaged for a species (``packaged``)."""
+    """Return those of a file or published set, or those packaged for a species (``packaged``)."""
     if file == PACKAGED:
         return load_packaged(species or "agent")
-    demos = read(file, source)
+    demos = read_named(file, source)
     refuse_empty_splits(demos)  # now, not after an hour
     return demos
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-import benchmarks.paper_readers  # noqa: F401  (four of the layouts are of its readers)
+import benchmarks.paper_readers  # noqa: F401  (one of the layouts is of its reader)
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 
@@ -329,6 +329,19 @@ def write_fly_groups(folder: Path) -> Path:
     return path
 
 
+def write_gray_bats(folder: Path) -> Path:
+    """Rows of frame, bat, x, y, z."""
+    from scipy.io import savemat
+
+    path, frames = folder / "9_24_obsref.mat", np.arange(len(BODIES), dtype=np.float64)
+    rows = [
+        np.column_stack([frames, np.full_like(frames, bat), BODIES[:, bat], frames])
+        for bat in range(2)
+    ]
+    savemat(path, {"batsS": np.concatenate(rows), "wall": np.zeros((5, 3))})
+    return path
+
+
 def write_ethovision(folder: Path) -> Path:
     head = ['"Number of header lines:","5"', '"Trial name","Trial 1"', '"Subject name","male"']
     head += ["Trial time,X center,Y center", "s,cm,cm"]
@@ -469,6 +482,7 @@ KINDS: dict[str, Kind] = {
     "mothvr": Kind(write_mothvr, "mothvr", "else", "text"),
     "termites": Kind(write_termites, "termites", "else", "checksum", ("index.csv",)),
     "fly_groups": Kind(write_fly_groups, "fly-groups", "else", "checksum"),
+    "gray_bats": Kind(write_gray_bats, "gray-bats", "else", "structure"),
     "authors_agents": Kind(write_authors_agents, "authors-agents", "else", "checksum"),
     "authors_fly": Kind(write_authors_fly, "authors-fly", "else", "checksum"),
     "authors_newt": Kind(

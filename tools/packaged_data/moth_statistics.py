@@ -118,7 +118,6 @@ def of_demonstrations(demos: Demonstrations) -> SearchStatistics:
 
 def recorded_moths(folder: Path) -> Demonstrations:
     """The recorded runs in ``folder/raw``, imported as ``animarl import --source mothvr`` does."""
-    import benchmarks.paper_readers  # noqa: F401  (registers mothvr)
     from animarl_envs.importing.readers import default_recipe, follow, get_reader
 
     files = sorted((folder / "raw").glob("*.csv"))

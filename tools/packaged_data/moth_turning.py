@@ -26,8 +26,8 @@ from animarl_envs.fitting.turning import (
     free_running,
     heading_misses,
 )
+from animarl_envs.importing.readers.living import FRAME_RATE, read_mothvr
 from animarl_envs.species.turning import Turning
-from benchmarks.paper_readers import FRAME_RATE, read_mothvr
 from tools.packaged_data.moth_statistics import recorded_moths
 
 FOLDS = 6

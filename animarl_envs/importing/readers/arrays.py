@@ -1,6 +1,7 @@
 """Plain arrays: NumPy (``.npy``, ``.npz``) and MATLAB (``.mat``, version 5 to 7.3)."""
 
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,13 @@ def read_arrays(
     fps: float | None = None,
     unit: str = "px",
     y_down: bool = False,
+    scale: float = 1.0,
+    frames: int | None = None,
 ) -> list[Tracks]:
-    """Read one recording, or every array of a file as one where ``key`` is ``"*"``.
+    """Read one recording, or every array whose name fits a ``key`` with ``*`` as one.
+
+    Numbers are multiplied by ``scale`` to be in ``unit``; of long recordings the first ``frames``
+    are read.
 
     Axes are as NumPy and MATLAB show them (MATLAB 7.3 stores them reversed, which is undone).
     """
@@ -55,14 +61,15 @@ def read_arrays(
         arrays = {path.stem: load_npy(path.read_bytes(), path)}
     numbers = {name: array for name, array in arrays.items() if array.dtype.kind in "iuf"}
     plausible = {name: a for name, a in numbers.items() if a.ndim >= 2 and 2 in a.shape}
-    chosen = {} if key == "*" or key not in arrays else {key: arrays[key]}
-    if key == "*" or (key is None and len(plausible) == 1):
-        chosen = plausible
+    several = "*" if key is None and len(plausible) == 1 else key or ""
+    chosen = {name: a for name, a in plausible.items() if fnmatchcase(name, several)}
+    if key in arrays:
+        chosen = {key: arrays[key]}
     if not chosen:
         raise InputError(f"{path}: {_what_it_holds(arrays, list(numbers))}")
     recordings = []
     for name, array in chosen.items():
-        positions = _ordered(path, name, array, axes)
+        positions = scale * _ordered(path, name, array, axes)[:frames]
         individuals = _names(path, "individual", names, positions.shape[1])
         parts = _names(path, "keypoint", keypoints, positions.shape[2])
         if keypoints is None and positions.shape[2] == 1:

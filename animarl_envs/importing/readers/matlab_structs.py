@@ -18,7 +18,7 @@ CTRAX = {"x_pos", "y_pos", "ntargets", "identity"}
 USED = {"x", "y", "x_mm", "y_mm", "firstframe", "fps", "id", "timestamps", "pos x", "pos y"}
 
 
-def _variable_names(path: Path) -> set[str]:
+def variable_names(path: Path) -> set[str]:
     """Return the names of the variables in a ``.mat``; none if it is damaged or of version 7.3."""
     try:
         with refusing_damage(path):
@@ -32,7 +32,7 @@ def _variable_names(path: Path) -> set[str]:
 @register_track_reader(
     "ctrax",
     "Ctrax and JAABA (.mat with a struct trx, or with x_pos, y_pos, ntargets, identity)",
-    sniff=lambda path: "trx" in (names := _variable_names(path)) or names >= CTRAX,
+    sniff=lambda path: "trx" in (names := variable_names(path)) or names >= CTRAX,
     extensions=(".mat",),
 )
 def read_ctrax(path: Path, fps: float | None = None) -> list[Tracks]:
@@ -95,7 +95,7 @@ def read_ctrax(path: Path, fps: float | None = None) -> list[Tracks]:
 @register_track_reader(
     "flytracker",
     "FlyTracker (*-track.mat), a recording of each chamber",
-    sniff=lambda path: "trk" in _variable_names(path),
+    sniff=lambda path: "trk" in variable_names(path),
     extensions=(".mat",),
 )
 def read_flytracker(path: Path, fps: float | None = None) -> list[Tracks]:
