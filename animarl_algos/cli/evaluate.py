@@ -309,6 +309,7 @@ def _print(console: PlainConsole, answer: Answer) -> None:
     from animarl_algos.report.verdict_section import terminal_table
     from animarl_algos.whatif.answer_page import answer_table, asides
 
-    console.print(terminal_table(answer_table(answer), answer.scenario.name, wrapped=True))
+    table = answer_table(answer, gap=False)
+    console.print(terminal_table(table, answer.scenario.name, wrapped=True))
     for sentence in asides(answer):
         console.print(sentence, style=COLOURS[answer.warning])

@@ -34,7 +34,7 @@ from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_envs.arena import Arena
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import rounded
+from animarl_envs.demos.episode import Resolution, rounded
 from animarl_envs.errors import require
 from animarl_envs.fitting.tracking import Tracking
 from animarl_envs.focus import nearest_other
@@ -44,6 +44,9 @@ QUARTER = 0.25  # of the median episode: a long window ...
 SHORTEST, LONGEST = 2.0, 20.0  # ... which lasts so long [s]
 MOST_PARTS = 10_000  # of one demonstration
 FEWEST_GROUPS = 5  # recordings, for their demonstrations to be kept together
+COMPARED = Resolution((2.0**-17, 2.0**-17), (0.0, 0.0))
+"""Grid of compared positions [arena unit]: nobody is known by rounding errors, such as turns of
+1e-8 rad where a simulated animal goes exactly straight."""
 SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
 DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
 
@@ -134,7 +137,9 @@ def window_features(
         place = (first - rollouts.offsets[episode]) // steps
         group = group * MOST_PARTS + np.minimum(place // block, MOST_PARTS - 1)
     offsets = np.arange(steps + 1)
-    paths = rollouts.positions[first[:, None] + np.minimum(offsets, count[:, None])]
+    paths = rounded(rollouts.positions, COMPARED)[
+        first[:, None] + np.minimum(offsets, count[:, None])
+    ]
     paths[offsets > count[:, None]] = np.nan
     num = paths.shape[2]
     rest = np.zeros(num) if still is None else still
@@ -164,7 +169,7 @@ def sequence_windows(
     first, count, episode = _cut(rollouts, steps)
     frames = [np.arange(a, a + n + 1) for a, n in zip(first.tolist(), count.tolist())]
     parts = {name: getattr(rollouts, name)[episode] for name in rollouts.EACH if name != "lengths"}
-    positions = rollouts.positions[np.concatenate(frames)]
+    positions = rounded(rollouts.positions, COMPARED)[np.concatenate(frames)]
     pieces = replace(rollouts, positions=positions, lengths=count + 1, **parts)
     measured = order_in_time.order_measures(
         pieces, order_in_time.lags_for(steps, rollouts.dt), rest, arena

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table as TerminalTable
@@ -341,16 +341,15 @@ def evaluation_table(evaluation: Evaluation, words: Words = DEMONSTRATED) -> Ter
 def terminal_table(table: Table, title: str, *, wrapped: bool) -> TerminalTable:
     """Return a table of one group for the terminal.
 
-    Columns of words may be wrapped, and rows are bold or faint; where they are not, intervals stand
-    below means.
+    Cells may be wrapped, and rows are bold or faint; where they are not, intervals stand below
+    means.
     """
     made = TerminalTable(
         title=Text(title), caption=Text(table.caption), box=SIMPLE_HEAD, padding=(0, 1)
     )
-    words = table.left if wrapped else 0
     for i, heading in enumerate(table.columns):
-        left = i < table.left
-        made.add_column(heading, justify="left" if left else "right", no_wrap=i >= words)
+        justify: Literal["left", "right"] = "left" if i < table.left else "right"
+        made.add_column(heading, justify=justify, no_wrap=not wrapped)
     for row in table.groups[0].rows:
         cells = row.cells if wrapped else [cell.replace(" [", "\n[") for cell in row.cells]
         made.add_row(*map(Text, cells), style=("dim" if row.faint else "bold") if wrapped else "")

@@ -218,12 +218,20 @@ def _in_short(result: WhatIf) -> Iterator[page.Block]:
     yield page.Text(WARNINGS)
 
 
-def answer_table(*answers: Answer, recorded: str = RECORDED, caption: str = "") -> page.Table:
-    """Return a table of one row per quantity of each answer; rows without a finding are faint."""
+def answer_table(
+    *answers: Answer, recorded: str = RECORDED, caption: str = "", gap: bool = True
+) -> page.Table:
+    """Return a table of one row per quantity of each answer; rows without a finding are faint.
+
+    Without ``gap`` recordings are left out: a terminal has no room for what stands above.
+    """
+    means = _means(recorded)
+    if not gap:
+        means = {name: means[name] for name in ("Quantity", capitalised(UNCHANGED))}
     return page.tabulate(
         "Shifts",
         {
-            **_means(recorded),
+            **means,
             "Changed": lambda row: _with_error(row, "changed"),
             "Shift [95 % interval]": lambda row: with_interval(
                 scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))

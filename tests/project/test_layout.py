@@ -71,7 +71,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 21_000,
     "animarl_algos.cli": 22_340,
     "animarl_algos.data": 8_560,
-    "animarl_algos.evaluation": 42_650,
+    "animarl_algos.evaluation": 42_684,
     "animarl_algos.learner": 18_199,
     "animarl_algos.losses": 3_200,
     "animarl_algos.networks": 12_158,

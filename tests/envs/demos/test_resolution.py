@@ -9,6 +9,7 @@ import pytest
 from animarl_algos.evaluation.classifier import Windows, classify, window_features
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SINGLE_PRECISION, Resolution, find_resolution, rounded
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.tracking import track
@@ -85,29 +86,35 @@ def test_rollouts_are_rounded_as_the_recordings_are_and_simulated_as_ever() -> N
     assert np.array_equal(given.positions, rounded(exact.positions, coarse))
 
 
+def _told_from(demos: Demonstrations, positions: np.ndarray) -> float:
+    def windows(positions: np.ndarray) -> Windows:
+        rollouts = replace(Rollouts.from_demonstrations(demos), positions=positions)
+        return window_features(rollouts, demos.arena)
+
+    rng = np.random.default_rng(0)
+    return classify(windows(demos.positions), windows(positions), rng).auc.estimate
+
+
 @pytest.mark.parametrize("scale", [1.0, 1.033])
 def test_perfect_tracking_is_told_from_recordings_only_by_the_grid(scale: float) -> None:
     """Packaged flies are simulated with the actions of their locomotion, then rounded.
 
-    At another scale: as tracks of seven decimals that an import has scaled.
+    At another scale: as tracks of three decimals that an import has scaled.
     """
     demos = load_packaged("fly").select(split="train")
-    if scale != 1.0:
-        exact = track(demos, FLY.locomotion).positions
-        demos = replace(demos, positions=exact.round(7) / scale)
-    recorded = Rollouts.from_demonstrations(demos)
+    exact = track(demos, FLY.locomotion).positions
+    demos = replace(demos, positions=exact.round(3) / scale)
+    assert _told_from(demos, exact / scale) > 0.8
+    assert abs(_told_from(demos, rounded(exact / scale, demos.resolution())) - 0.5) < 0.1
 
-    def told(positions: np.ndarray) -> float:
-        def windows(rollouts: Rollouts) -> Windows:
-            return window_features(rollouts, demos.arena)
 
-        followed = replace(recorded, positions=positions)
-        rng = np.random.default_rng(0)
-        return classify(windows(recorded), windows(followed), rng).auc.estimate
-
-    followed = track(demos, FLY.locomotion).positions if scale == 1.0 else exact / scale
-    assert told(followed) > 0.8
-    assert abs(told(rounded(followed, demos.resolution())) - 0.5) < 0.1
+def test_rounding_errors_of_an_import_tell_nobody() -> None:
+    """Stored in single precision and then scaled, tracks lie on no grid that could be found."""
+    demos = load_packaged("fly").select(split="train")
+    exact = track(demos, FLY.locomotion).positions
+    demos = replace(demos, positions=exact.astype(np.float32).astype(np.float64) / 1.0871)
+    assert demos.resolution() is None
+    assert abs(_told_from(demos, exact / 1.0871) - 0.5) < 0.1
 
 
 @pytest.mark.parametrize("scale", [1.033, 0.37])
