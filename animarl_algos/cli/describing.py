@@ -325,7 +325,7 @@ def hints(demos: Demonstrations) -> list[str]:
     if question := _question_speed(demos):
         sentences.append(question)
     if ignored := provenance.get("metadata_ignored"):
-        sentences.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
+        sentences.append(f"columns about recordings that were not used: {', '.join(ignored)}")
     sentences += provenance.get("notes", [])
     if unused := provenance.get("columns_not_used"):
         beside = sorted({name.lower() for name in unused} & set(GROUPS))

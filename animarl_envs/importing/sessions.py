@@ -1,7 +1,7 @@
 """Condition, split, roles and scale of recordings, and the names and roles of their individuals.
 
-That comes from the recipe, from a table with a row per recording (``--metadata``), or from a
-pattern over their names (``--name-pattern``).
+That comes from the recipe, from a table with a row per recording (``--metadata``), from a pattern
+over their names (``--name-pattern``), or from a column ``condition`` of the tracks.
 """
 
 import math
@@ -20,7 +20,7 @@ from animarl_envs.errors import InputError, require
 from animarl_envs.importing.cutting import pursued_individual
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.tables import read_rows
-from animarl_envs.importing.tracks import Tracks
+from animarl_envs.importing.tracks import STATED_CONDITION, Tracks
 from animarl_envs.settings import check_names
 from animarl_envs.wall import search_names
 
@@ -29,6 +29,7 @@ GROUPS = ("condition", "split", "target", "animal")
 TARGET, PURSUER = "target", "pursuer"
 OTHER_ROLE = {TARGET: PURSUER, PURSUER: TARGET}  # the role of the others, where one has this role
 AUTO = "auto"
+NO_CONDITION = "condition (two are simulated, and each recording has one: give --metadata TABLE)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,13 +130,23 @@ class Sessions:
 def load_sessions(
     recordings: Sequence[Tracks], metadata: str | None, name_pattern: str | None
 ) -> Sessions:
-    """Return what a table or a pattern states of recordings; nothing where neither is given."""
+    """Return what a table or a pattern states of recordings, or else the tracks themselves.
+
+    These state a condition where their column ``condition`` has one word for each recording, and
+    two in all.
+    """
     names = [tracks.recording for tracks in recordings]
     if metadata is not None:
         return read_sessions(Path(metadata), names)
     if name_pattern is not None:
         return sessions_by_name(name_pattern, names)
-    return Sessions()
+    stated = {one.recording: one.provenance.get(STATED_CONDITION) for one in recordings}
+    words = set(stated.values())
+    if len(words) != 2 or not all(words):
+        return Sessions(ignored=(NO_CONDITION,) if len(words) > 1 or "" in words else ())
+    own = {name: Session(condition=word) for name, word in stated.items()}
+    place = "the column condition"
+    return Sessions(place, own, conditions_of(list(stated.values()), place))
 
 
 def read_sessions(path: Path, recordings: Sequence[str] = ()) -> Sessions:

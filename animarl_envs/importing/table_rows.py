@@ -41,10 +41,13 @@ from animarl_envs.importing.tracks import (
     CENTROID,
     LONE,
     RATE_FROM,
+    STATED_CONDITION,
     TOGETHER_AT_MOST,
     TRACKS,
     Tracks,
 )
+
+CONDITION = "condition"  # the name of a column
 
 
 @dataclass(eq=False)
@@ -53,6 +56,7 @@ class _Rows:
 
     ``line`` is the row of the table that each is of. Without ``names`` of individuals or of
     ``points`` the header has them. ``time`` is the column of the clock, where it counts.
+    ``condition`` is the number of each row's condition in ``conditions``, -1 where there is none.
     """
 
     number: dict[str, Floats]
@@ -64,6 +68,8 @@ class _Rows:
     points: list[str]
     point: Ints
     time: Floats | tables.TextColumn | None
+    condition: Ints
+    conditions: list[str]
 
     @property
     def track(self) -> Ints:
@@ -76,7 +82,7 @@ class _Rows:
         self.number = {
             key: own[low] + share * (own[high] - own[low]) for key, own in self.number.items()
         }
-        for name in ("line", "recording", "individual", "point"):
+        for name in ("line", "recording", "individual", "point", "condition"):
             setattr(self, name, getattr(self, name)[low])
 
 
@@ -111,7 +117,7 @@ def tracks_of_rows(
                     unit=columns.unit or "px",
                     y_down=y_down,
                     start_time=float(start[at]),
-                    provenance=provenance,
+                    provenance=provenance | _stated_condition(rows, own),
                     **_place_rows(table, columns, rows, own, frames[own], heading),
                 )
             )
@@ -140,13 +146,15 @@ def _read_rows(
     ]
     numbers += [position.score or columns.confidence for position in columns.positions]
     slots = list(columns.tracks.values())
+    condition = next((name for name in table.names if name.lower() == CONDITION), "")
     texts = [columns.individual, columns.keypoint, columns.recording, columns.arena, *slots]
+    texts.append(condition)
     (texts if clock in table.words_in else numbers).append(clock)
     used = {*numbers, *texts, columns.time}
     if unused := [name for name in table.names if name and name not in used]:
         provenance["columns_not_used"] = unused
     number, word = table.columns(
-        [*filter(None, numbers)], [*filter(None, texts)], progress, may_be_empty=slots
+        [*filter(None, numbers)], [*filter(None, texts)], progress, may_be_empty=[*slots, condition]
     )
     notes = table.notes
     line = np.arange(len(next(iter(number.values()))))
@@ -161,7 +169,17 @@ def _read_rows(
     sets = _recordings_of(table.path, columns, word, zeros)
     bodies = _bodies_of(table.path, columns, word, zeros, stated)
     time = word.get(clock, number.get(clock))
-    rows = _Rows(number, line, sets.entries, sets.number, *bodies, time)
+    stated_words = word.get(condition, tables.TextColumn([], zeros - 1))
+    rows = _Rows(
+        number,
+        line,
+        sets.entries,
+        sets.number,
+        *bodies,
+        time,
+        stated_words.number,
+        stated_words.entries,
+    )
     notes += _notes_on(columns, rows.points)
     if is_idtracker(table):
         notes.append("the columns are idTracker's: y is taken to grow downwards")
@@ -228,6 +246,15 @@ def _split_tracks(rows: _Rows, frames: Ints, start: Floats, provenance: dict[str
     rows.recording, rows.individual = recording.astype(np.int64), np.zeros_like(rows.individual)
     rows.names = []
     return np.asarray(start[kept // count])
+
+
+def _stated_condition(rows: _Rows, own: Ints | slice) -> dict[str, str]:
+    """Return the condition of a recording, if there is a column of conditions."""
+    number = np.unique(rows.condition[own])
+    if not rows.conditions:
+        return {}
+    is_one = len(number) == 1 and number[0] >= 0
+    return {STATED_CONDITION: rows.conditions[number[0]] if is_one else ""}
 
 
 def _place_rows(

@@ -23,6 +23,7 @@ PRESENT = 0.5  # share of a group that is there on average, or of frames with ev
 LONE = "individual_0"  # of a recording of one animal without a name
 BODY_LENGTH = "body_length"  # in the unit of positions, in notes
 RATE_FROM = "rate_from"  # what says the frame rate, in notes
+STATED_CONDITION = "stated_condition"  # by a column; empty where it changes, in notes
 TRACKS, TOGETHER_AT_MOST = "tracks", "together_at_most"  # of a recording that was split, in notes
 MAX_CLOCK_OFFSET = 0.25  # of a frame that files of one recording may be apart
 LARGEST = 1e9  # no tracker writes larger coordinates

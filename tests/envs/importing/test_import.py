@@ -208,14 +208,45 @@ def chase(folder: Path, recordings: int = 6, **columns: str) -> Path:
 
 
 def test_an_import_says_what_it_guessed_and_what_it_did_not_use(tmp_path: Path) -> None:
-    table = chase(tmp_path, condition="light", likelihood="0.9")
+    table = chase(tmp_path, target="light", likelihood="0.9")
     words = ("import", table, "--fps", 30, "--dry-run")
     said = animarl(*words)
     assert "y is taken to grow upwards" in said and "since it is approached most, by" in said
-    assert "not used: condition (condition belongs in a --metadata table)" in said
+    assert "not used: target (target belongs in a --metadata table)" in said
     assert "of a likelihood below" not in said
     assert "y is taken" not in animarl(*words, "--option", "y_down=true")
     assert "y is taken" not in animarl(*words, "--option", "unit=mm")
+
+
+@pytest.mark.parametrize(
+    ("words", "conditions", "unused"),
+    [
+        (["sham", "drug"], ["sham", "drug"], False),
+        (["0", "1"], ["0", "1"], False),
+        (["sham", "sham"], None, False),
+        (["sham", "drug", "light"], None, True),
+        ([""], None, False),
+        (["sham", ""], None, True),
+    ],
+)
+def test_a_column_of_the_tracks_states_two_conditions(
+    words: list[str], conditions: list[str] | None, unused: bool, tmp_path: Path
+) -> None:
+    lines = chase(tmp_path).read_text().splitlines()
+    each = [words[int(line[1]) % len(words)] for line in lines[1:]]
+    rows = [f"{line},{word}" for line, word in zip(lines[1:], each, strict=True)]
+    for name, table in (("each", rows), ("changing", [*rows[:-1], lines[-1] + ",other"])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([lines[0] + ",Condition", *table]))
+    out = tmp_path / "out.npz"
+    said = animarl("import", tmp_path / "each.csv", "--fps", 30, "--out", out)
+    demos = Demonstrations.load(out)
+    assert demos.provenance.get("conditions") == conditions
+    if conditions is not None:
+        named = [conditions[one] for one in demos.condition]
+        assert named == [words[int(one[1]) % len(words)] for one in demos.recording]
+    assert ("not used: condition (two" in said) is unused
+    said = animarl("import", tmp_path / "changing.csv", "--fps", 30, "--dry-run")
+    assert "not used: condition (two" in said
 
 
 def test_what_metadata_say_is_not_taken_for_guessed(tmp_path: Path) -> None:
