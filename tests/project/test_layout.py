@@ -69,7 +69,7 @@ LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
     "animarl_algos.benchmark": 21_000,
-    "animarl_algos.cli": 22_340,
+    "animarl_algos.cli": 22_342,
     "animarl_algos.data": 8_560,
     "animarl_algos.evaluation": 42_684,
     "animarl_algos.learner": 18_199,
@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 5_600,
     "animarl_algos.report": 17_100,
     "animarl_algos.runs": 14_300,
-    "animarl_algos.whatif": 19_330,
+    "animarl_algos.whatif": 19_354,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 16_910,
     "animarl_envs.demos": 9_190,
