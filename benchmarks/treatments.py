@@ -42,7 +42,7 @@ from benchmarks.living import LivingSet
 
 FRACTIONS = (0.65, 0.13, 0.22)  # of animals: to learn from, to choose by, and kept aside
 MEASURES = ("slow_steps", "turning", "rests", "bouts")
-LARVAE = 60  # of each condition
+LARVAE = 40  # of each condition
 
 
 @dataclass(frozen=True)

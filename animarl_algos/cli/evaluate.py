@@ -161,6 +161,9 @@ def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
     knows=Option(
         "--knows", help="Individuals perceive their changed body; by default they act as before."
     ),
+    second=Option(
+        "--second/--no-second", help="Ask a second simulator, whose animals perceive other things."
+    ),
     measure="A measure of the verdict that the table has too, such as share_at_rest, or all; or "
     "FILE.py:FUNCTION, a measure of your own (the file is run). Repeatable.",
 )
@@ -174,13 +177,16 @@ def whatif_command(
     permutations: int = 0,
     truth: str | None = None,
     knows: bool = False,
+    second: bool = True,
     measure: list[str] | None = None,
 ) -> None:
     """Predict what would happen in a changed world.
 
     The policies are not trained again. Of a run that was cross-validated, the policies of all folds
     answer together. Every answer is a difference from the unchanged world with a 95 % interval, and
-    a warning if inputs leave the range of training.
+    a warning if inputs leave the range of training. A second simulator, whose animals perceive
+    other things, is trained once and asked the same: where both disagree, the recordings cannot
+    tell.
 
     What can be changed: speed, thrust, damping and start of an individual (prey.speed), of a kind
     (predators.thrust) or of all (all.damping); arena, contact and time_limit; condition=NAME, if
@@ -206,6 +212,7 @@ def whatif_command(
     from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.report.verdict_section import terminal_table
     from animarl_algos.runs import run_set
+    from animarl_algos.runs.permuted import permuted_runs, second_run
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.runs.run_files import versions
     from animarl_algos.whatif.answer import ask, check_changes
@@ -241,18 +248,20 @@ def whatif_command(
             raise InputError(
                 "--permutations is the null of a condition and none is changed: leave it out"
             )
-        from animarl_algos.runs.permuted import permuted_runs
-
         nulls = permuted_runs(
             loaded[0],
             out.with_name(f"{out.name}-permuted"),
             permutations,
             lambda done: console.print(f"{done} of {permutations} networks of permuted conditions"),
         )
+    other = None
+    if second and not all(text.partition("=")[0].strip() == CONDITION for text in change):
+        other = second_run(loaded[0], console.print)
     answers = ask(
         loaded,
         change,
         permuted=nulls,
+        second=other,
         truth=known,
         repetitions=repetitions,
         reading="knows" if knows else "habit",

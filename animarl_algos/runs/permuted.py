@@ -1,15 +1,71 @@
-"""Runs that learn from permuted conditions: the null of a condition's shift in a what-if."""
+"""Further runs that a what-if asks, beside the run it is about.
 
+Those that learn from permuted conditions are the null of a condition's shift. One with other inputs
+is a second specification: what is the same in every recording, such as the arena, can be learned in
+several ways, and only a change of it tells them apart.
+"""
+
+import math
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from animarl_algos.report.inputs import duration
 from animarl_algos.runs import pipeline
+from animarl_algos.runs.pretrained import FOLDER as PACKAGED_MODELS
 from animarl_algos.runs.run import Run
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.importing.sets import cache_folder
+from animarl_envs.species.options import with_options
+from animarl_envs.worlds import observation_components
+
+LOCOMOTION = "locomotion.json"
+OTHER_INPUTS = "paper"  # the observation of a second simulator
+
+
+def second_folder(run: Run) -> Path:
+    """Return where the second specification of a run lies: in it; of packaged ones in the cache."""
+    name = f"second-{run.path.name}-{run.record['fingerprint']}"
+    return cache_folder() / name if run.path.parent == PACKAGED_MODELS else run.path / "second"
+
+
+def second_run(run: Run, on_begin: Callable[[str], None]) -> Run | None:
+    """Train a run's learner on the paper's inputs, at half the cost; a finished one is kept.
+
+    ``on_begin`` is called before a training with a sentence: what is trained, where, how long.
+    Returns None if the run itself has these inputs, or its animals have no others.
+    """
+    inputs = [
+        [one.name for one in observation_components(species)]
+        for species in (run.species, with_options(run.species, observation=OTHER_INPUTS))
+    ]
+    if inputs[0] == inputs[1]:
+        return None
+    folder, given = second_folder(run), run.settings
+    if not Run(folder).has_policy(given.algo):
+        seconds = sum(took for stage, took in run.wall_times().items() if "training" in stage)
+        about = f", about {duration(math.ceil(seconds / 2))}" if seconds else ""
+        on_begin(
+            f"A second simulator, whose animals perceive other things (observation: "
+            f"{OTHER_INPUTS}), is trained once{about}: {folder}"
+        )
+    worlds = {**given.overrides.get("env_kwargs", {}), "observation": OTHER_INPUTS}
+    overrides = {**given.overrides, "env_kwargs": worlds}
+    if epochs := run.record["learner"].get("offline_epochs"):
+        overrides["offline_epochs"] = max(1, epochs // 2)
+    settings = given.changed(
+        baselines=False, acting=str(run.acting(given.algo)), overrides=overrides,
+        steps=max(1, given.steps // 2),
+    )  # fmt: skip
+    second = pipeline.open_run(settings, folder, "second specification", run.demos)
+    if not (folder / LOCOMOTION).exists():
+        shutil.copyfile(run.path / LOCOMOTION, folder / LOCOMOTION)
+    pipeline.learn(second, settings.algo, progress_bar=False)
+    return second
 
 
 def permute_conditions(demos: Demonstrations, rng: np.random.Generator) -> Demonstrations:

@@ -28,19 +28,25 @@ from animarl_algos.whatif.quantities import (
     speeds_of,
 )
 from animarl_algos.whatif.shifts import (
+    CANNOT_TELL,
     FALLS,
     RISES,
     calibrated,
     chance_error,
+    disagrees,
     judge,
     mean_over_starts,
     share_as_large,
+    shift_between_conditions,
+    units_of_starts,
+    widen_for_family,
     widen_shift_of_share,
 )
 from animarl_algos.whatif.thrust_search import LIMITS, ThrustSearch
 from animarl_algos.whatif.truth import Truth, mean_by_start, subtract
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
@@ -99,6 +105,9 @@ class Answer:
         (:func:`~animarl_algos.whatif.shifts.chance_error`). ``gap`` is baseline minus recorded,
         where rollouts stop with a recording that was cut
         (:func:`~animarl_algos.evaluation.prepared.censored`).
+        ``second_shift, second_low, second_high, second_gap`` are of a simulator with other inputs,
+        if one was asked; of a condition, ``trained_shift`` and its ``trained_margin`` are the
+        difference between the recordings that were learned from.
         ``seeds_low`` to ``seeds_high`` is the range of the shifts of single training seeds,
         ``beyond`` the share of steps more than usual with inputs that training did not have.
         ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
@@ -180,6 +189,7 @@ def ask(
     separately: bool = False,
     seed: int = 0,
     permuted: Sequence[TrainedRun] = (),
+    second: TrainedRun | None = None,
     truth: Truth | None = None,
     measures: Sequence[str] = (),
     on_baseline: Callable[[pd.DataFrame], None] | None = None,
@@ -205,6 +215,9 @@ def ask(
         Runs of the same learner that were trained with the conditions of their recordings permuted
         (:func:`animarl_algos.runs.permuted.permuted_runs`). Their shifts are the null of a
         cue: they say how far it moves by the choice of training recordings alone.
+    second
+        A run with other inputs (:func:`animarl_algos.runs.permuted.second_run`), which is asked the
+        same of changed worlds: where both disagree, the recordings cannot tell.
     truth
         What made the recordings (:func:`animarl_algos.whatif.truth.find_truth`): its shift stands
         beside the predicted one.
@@ -231,14 +244,17 @@ def ask(
         _Comparison(some, unit, repetitions, reading, seed, keys)
         for some in (runs, *([run] for run in permuted))
     )
-    comparison.truth = truth
+    comparison.truth, comparison.answers = truth, len(scenarios)
+    other = None
+    if second is not None and any(scenario.condition is None for scenario in scenarios):
+        other = _Comparison([second], unit, repetitions, reading, seed, keys)
     if on_baseline is not None:
         on_baseline(comparison.unchanged())
     answers, unmet = [], {}
     for scenario in scenarios:
         try:
             answers.append(
-                comparison.answer(scenario, nulls if scenario.condition is not None else ())
+                comparison.answer(scenario, nulls if scenario.condition is not None else (), other)
             )
         except UnmetSpeedError as error:
             unmet[scenario.name] = str(error)
@@ -334,6 +350,7 @@ class _Comparison:
         self.runs, self.unit, self.repetitions = runs, unit, repetitions
         self.reading, self.seed, self.keys = reading, seed, keys
         self.truth: Truth | None = None
+        self.answers = 1  # whose intervals hold together
         self.species = runs[0].scenario.species
         self.test = runs[0].demos.select(split="test")
         self.ranges = [
@@ -350,8 +367,17 @@ class _Comparison:
         # What stands beside recordings that were cut stops there too.
         self.comparable = censored(self.baseline, self.test)
 
-    def answer(self, scenario: ChangedWorld, nulls: Sequence[_Comparison] = ()) -> Answer:
-        """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
+    def answer(
+        self,
+        scenario: ChangedWorld,
+        nulls: Sequence[_Comparison] = (),
+        second: _Comparison | None = None,
+    ) -> Answer:
+        """Compare one scenario with the baseline.
+
+        A cue's shifts stand beside those of ``nulls`` and of the recordings that were learned from,
+        those of a changed world beside those of a ``second`` simulator.
+        """
         thrusts = self._thrusts(scenario)
         options = scenario.options(self.species, self.unit, thrusts)
         changed, *beyond = self._simulate(scenario, options, self.reading)
@@ -361,6 +387,12 @@ class _Comparison:
             other = self._simulate(scenario, options, reading)[0]
         true = None if self.truth is None else self.truth.roll_out(scenario, self.reading)
         table = pd.DataFrame(self._rows(scenario, changed, other, true))
+        beside: dict[str, Any] = {}
+        if scenario.condition is not None:
+            beside = self._trained_shifts(scenario.condition)
+        elif second is not None:
+            beside = second.shifts_beside(scenario, thrusts)
+        table = table.join(pd.DataFrame(beside).T, on="quantity") if beside else table
         more, inputs = (now - usual for now, usual in zip(beyond, self.usual))
         warning, reason = self._warning(more, inputs, table)
         low = high = p = np.full(len(table), np.nan)
@@ -387,6 +419,32 @@ class _Comparison:
         table = pd.DataFrame(self._rows(ChangedWorld(()), self.baseline, None))
         table["baseline"] = table["recorded"] + table["gap"]
         return table[["quantity", "unit", "recorded", "baseline", "baseline_error", "gap"]]
+
+    def shifts_beside(
+        self, scenario: ChangedWorld, thrusts: Mapping[str, float]
+    ) -> dict[str, dict[str, float]]:
+        """Return by quantity what a second simulator answers, in the columns of the first."""
+        options = scenario.options(self.species, self.unit, thrusts)
+        changed = self._simulate(scenario, options, self.reading)[0]
+        keys = ("shift", "low", "high", "gap")
+        return {
+            row["quantity"]: {f"second_{key}": row[key] for key in keys}
+            for row in self._rows(scenario, changed, None)
+        }
+
+    def _trained_shifts(self, condition: str) -> dict[str, dict[str, float]]:
+        """Return by quantity how recordings of a condition differ that were learned from."""
+        known = learnable(self.runs[0].demos)
+        recorded = Rollouts.from_demonstrations(known)
+        treated = known.condition == self.species.conditions.index(condition)
+        measured = measured_quantities(known, self.unit, self.keys, self.smoothing)
+        shifts = {}
+        for quantity in (*quantities_of(recorded, self.unit), *(measured if self.keys else ())):
+            shift, margin = shift_between_conditions(
+                quantity.values(recorded), treated, known.recording
+            )
+            shifts[quantity.name] = {"trained_shift": shift, "trained_margin": margin}
+        return shifts
 
     def shifts(self, scenario: ChangedWorld) -> list[float]:
         """Return the shift of each quantity."""
@@ -485,6 +543,7 @@ class _Comparison:
             counts = self.test.condition[changed.demo] != index
         recorded = Rollouts.from_demonstrations(self.test)
         starts = np.unique(changed.demo[counts])
+        units = len(np.unique(units_of_starts(changed.demo, self.test, counts)[starts]))
         named = {name for change in scenario.changes for name in change.individuals}
         if len(named) == len(self.species.individuals):
             named = set()
@@ -499,6 +558,7 @@ class _Comparison:
                 shift = widen_shift_of_share(
                     shift, before, after, changed.demo, test=self.test, counts=counts
                 )
+            shift = widen_for_family(shift, self.answers, units)
             further = float("nan")
             if other is not None:
                 further = self._mean(measure(other) - before, other.demo, counts).estimate
@@ -625,6 +685,13 @@ class _Comparison:
             word = Caution.RED if word == Caution.RED else Caution.SOME
             reasons.append(
                 f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
+            )
+        for row in filter(disagrees, table.to_dict("records")):
+            word = Caution.RED if word == Caution.RED else Caution.SOME
+            factor, unit = (100.0, "points") if row["unit"] == SHARE else (1.0, row["unit"])
+            reasons.append(
+                f"{row['quantity']} {CANNOT_TELL}: its shift is {factor * row['shift']:+.3g} {unit}"
+                f", and {factor * row['second_shift']:+.3g} by a simulator with other inputs"
             )
         return word, "; ".join(reasons)
 

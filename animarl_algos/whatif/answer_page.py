@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,6 +37,10 @@ WHAT_IT_IS = (
     "from the same starts lies so near in 95 of 100 cases. A shift that is smaller than the gap "
     "between the unchanged simulation and the recordings is no finding."
 )
+FAMILY = (
+    "The intervals of a quantity hold together over all {} answers, so that one of twenty such "
+    "questions has a shift outside by chance, not one of twenty answers."
+)
 CUT = (
     "Some recordings were cut: there the gap looks at the simulation as far as its recording "
     "goes, and all else at whole episodes."
@@ -46,8 +50,11 @@ WARNINGS = (
     f"A warning is some above {YELLOW:.0%} and red above {RED:.0%} more steps than in the "
     "unchanged world in which an individual perceives what lies beyond the central 99.8 % of its "
     "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
-    "answers were wrong in worlds with a known truth: it grows with the warning, and with the "
-    "difference between habit and knowledge of a changed body."
+    "answers were wrong in worlds with a known truth: it grows with the warning, with the "
+    "difference between habit and knowledge of a changed body, and of a condition with what the "
+    "recordings that were learned from show. A second simulator, whose animals perceive other "
+    "things, is asked the same: where both disagree beyond their intervals and their gaps, it "
+    "cannot be told from these recordings."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
 SMALLEST_SHIFT = 1e-9  # on an axis; a smaller one is of rounding errors
@@ -85,7 +92,8 @@ def what_it_is(result: WhatIf) -> str:
         covers=table["covers"].iloc[0], null=null, rollouts=rollouts_note(result)
     )
     truth = "" if result.truth is None else result.truth.description
-    return " ".join(filter(None, [text, truth, cut_note(result)]))
+    family = FAMILY.format(len(result.answers)) if len(result.answers) > 1 else ""
+    return " ".join(filter(None, [text, family, truth, cut_note(result)]))
 
 
 def rollouts_note(result: WhatIf) -> str:
@@ -237,6 +245,7 @@ def answer_table(
                 scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))
             ),
             "Calibrated": lambda row: interval_text(row, "calibrated"),
+            **_columns_beside(answers),
             **(_truth_columns() if "true" in answers[0].table else {}),
             "Shift is": lambda row: (
                 row["judged"] + (f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else "")
@@ -285,6 +294,29 @@ def _with_error(row: pd.Series, key: str) -> str:
     error = _factor(row) * row[f"{key}_error"]
     mean = number(_factor(row) * row[key])
     return f"{mean} ± {number(error, 2)}" if np.isfinite(error) else mean
+
+
+def _columns_beside(answers: Sequence[Answer]) -> dict[str, Callable[[pd.Series], str]]:
+    """Return the columns of a second simulator, and of the recordings that were learned from."""
+
+    def of_second(row: pd.Series) -> str:
+        return _with_interval(row.rename({"second_shift": "second"}), "second")
+
+    def of_recordings(row: pd.Series) -> str:
+        shift, margin = row["trained_shift"], row["trained_margin"]
+        shown = Interval(shift, shift - margin, shift + margin)
+        return with_interval(scaled(shown, _factor(row)))
+
+    known = {name for answer in answers for name in answer.table}
+    columns = {
+        "second_shift": ("By other inputs", of_second),
+        "trained_shift": ("Learned from", of_recordings),
+    }
+    return {
+        title: lambda row, key=key, text=text: text(row) if key in row else ""
+        for key, (title, text) in columns.items()
+        if key in known
+    }
 
 
 def _truth_columns() -> dict[str, Callable[[pd.Series], str]]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_algos.evaluation.statistics import (
     Interval,
@@ -20,6 +21,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
+CANNOT_TELL = "cannot be told from these recordings"
 CALIBRATION = {Caution.NONE: 1.0, Caution.SOME: 1.03, Caution.RED: 1.67}
 """Factors on the margins of :func:`calibrated`, by warning: with them 90 % of the shifts in worlds
 with a known truth were covered (docs/results/whatif)."""
@@ -36,6 +38,8 @@ def judge(row: Mapping[Any, Any], of_a_cue: bool) -> str:
         return "a guess"
     if np.isnan(row["low"]):
         return NO_INTERVAL
+    if disagrees(row):
+        return CANNOT_TELL
     if not (row["low"] > 0 or row["high"] < 0):
         return "not clear of zero"
     if abs(row["shift"]) < abs(row["gap"]):
@@ -47,16 +51,71 @@ def judge(row: Mapping[Any, Any], of_a_cue: bool) -> str:
     return RISES if row["shift"] > 0 else FALLS
 
 
+def disagrees(row: Mapping[Any, Any]) -> bool:
+    """Return whether a simulator with other inputs answers otherwise, beyond both intervals.
+
+    No simulator is trusted more closely than it is near the recordings in the unchanged world.
+    """
+    other = row.get("second_shift", math.nan)
+    if not np.isfinite([other, row["low"]]).all():
+        return False
+    margins = [
+        max(row[shift] - row[low], row[high] - row[shift])
+        for shift, low, high in (
+            ("shift", "low", "high"), ("second_shift", "second_low", "second_high"),
+        )
+    ]  # fmt: skip
+    return abs(other - row["shift"]) > math.hypot(*margins, row["gap"], row["second_gap"])
+
+
 def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
     """Return ``low`` and ``high`` of a shift, widened as much as such answers have been wrong.
 
-    By how much both readings of a changed body differ, and by the warning.
+    By the warning, and by how much the answer differs from others: from the other reading of a
+    changed body, from a simulator with other inputs where both disagree, and, of a condition, from
+    the recordings that were learned from, which are known up to chance themselves.
     """
-    apart = row["other_reading"] - row["shift"]
-    apart = float(apart) if np.isfinite(apart) else 0.0
+    others = ["other_reading", "trained_shift", *["second_shift"] * disagrees(row)]
+    apart = [row.get(name, math.nan) - row["shift"] for name in others]
+    apart = [one for one in (*apart, row.get("trained_margin", math.nan)) if np.isfinite(one)]
     factor = CALIBRATION[Caution(row["warning"])]
-    below, above = (factor * math.hypot(row["shift"] - row[end], apart) for end in ("low", "high"))
+    below, above = (factor * math.hypot(row["shift"] - row[end], *apart) for end in ("low", "high"))
     return row["shift"] - below, row["shift"] + above
+
+
+def widen_for_family(shift: Interval, answers: int, units: int) -> Interval:
+    """Return an interval that holds together with those of the other answers to one question.
+
+    Bonferroni's, by Student's t over so many ``units``.
+    """
+    if answers < 2 or units < 2:
+        return shift
+    ends = [student_t(1.0 - 0.025 / number, units - 1) for number in (answers, 1)]
+    wider = float(ends[0] / ends[1])
+    low, high = (shift.estimate + wider * (end - shift.estimate) for end in (shift.low, shift.high))
+    return replace(shift, low=low, high=high)
+
+
+def shift_between_conditions(
+    values: Floats, treated: Bools, recording: NDArray[np.str_]
+) -> tuple[float, float]:
+    """Return how far recordings of a condition lie above the others, and the margin of that (95 %).
+
+    ``(episodes,)`` each; the unit is the recording (Welch's t).
+    """
+    groups = []
+    for side in (treated, ~treated):
+        side = side & np.isfinite(values)
+        units = np.unique(recording[side], return_inverse=True)[1]
+        groups.append(np.bincount(units, values[side]) / np.bincount(units))
+    if min(map(len, groups)) < 2:
+        return math.nan, math.nan
+    squares = [float(group.var(ddof=1)) / len(group) for group in groups]
+    total = sum(squares)
+    by_group = [square**2 / (len(group) - 1) for square, group in zip(squares, groups, strict=True)]
+    freedom = total**2 / sum(by_group) if total > 0 else 1.0
+    shift = float(groups[0].mean() - groups[1].mean())
+    return shift, float(student_t(0.975, freedom)) * math.sqrt(total)
 
 
 def share_as_large(shifts: Floats, null: Floats) -> Floats:
@@ -97,7 +156,7 @@ def mean_over_starts(
     test
         The starts; those that were cut from one recording are one unit.
     """
-    recording = _units(demo, test, counts)
+    recording = units_of_starts(demo, test, counts)
     seed = np.repeat(np.arange(runs), len(values) // runs)
     data = cells(values, seed, recording[demo], int(recording.max()) + 1, counts)
     return bootstrap_mean(data, rng)
@@ -143,7 +202,7 @@ def widen_shift_of_share(
     :func:`~animarl_algos.evaluation.statistics.share_margins` over recordings.)
     """
     counts = counts & np.isfinite(before) & np.isfinite(after)
-    place = _units(demo, test, counts)[demo[counts]]
+    place = units_of_starts(demo, test, counts)[demo[counts]]
     number = np.bincount(place)
     was, now = (
         np.bincount(place, values[counts])[number > 0] / number[number > 0]
@@ -163,7 +222,7 @@ def widen_shift_of_share(
     return replace(shift, low=min(shift.low, low), high=max(shift.high, high))
 
 
-def _units(demo: Ints, test: Demonstrations, counts: Bools) -> Ints:
+def units_of_starts(demo: Ints, test: Demonstrations, counts: Bools) -> Ints:
     """Return the recording of each start; the start itself if all that count are of one."""
     _, recording = np.unique(test.recording, return_inverse=True)
     single = len(np.unique(recording[demo[counts]])) < 2

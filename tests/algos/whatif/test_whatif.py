@@ -18,6 +18,7 @@ from refusals import refuses
 from small_runs import few, made
 
 from animarl_algos import load_run
+from animarl_algos.evaluation.statistics import Interval, student_t
 from animarl_algos.runs import pipeline, run_set
 from animarl_algos.runs.permuted import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
@@ -31,7 +32,15 @@ from animarl_algos.whatif.extrapolation import (
     describe_departures,
     others_in_order,
 )
-from animarl_algos.whatif.shifts import NO_INTERVAL, chance_error, judge, share_as_large
+from animarl_algos.whatif.shifts import (
+    CANNOT_TELL,
+    NO_INTERVAL,
+    calibrated,
+    chance_error,
+    judge,
+    share_as_large,
+    widen_for_family,
+)
 from animarl_algos.whatif.thrust_search import ThrustSearch
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
@@ -421,10 +430,14 @@ def test_the_simulators_of_all_folds_answer_together(species: str, tmp_path: Pat
     for answer, simulated in ((together, each), (alone, each[:1])):
         joined = np.concatenate([one.positions for one in simulated])
         np.testing.assert_array_equal(answer.baseline.positions, joined)
-    assert "all 3 folds answer" in animarl(*asked, "--change", "arena=x1.1")
+    said = animarl(*asked, "--change", "arena=x1.1")
+    assert "all 3 folds answer" in said and "A second simulator" in said
     table = pd.read_csv(tmp_path / "out" / "whatif.csv")
+    assert table["second_shift"].notna().any()
+    assert Run(run.path / "second").species.observation == "paper"
     np.testing.assert_allclose(table["changed"], together.table["changed"])
-    assert "folds answer" not in animarl(*asked, "--change", "arena=x1.1", "--fold", "1")
+    said = animarl(*asked, "--change", "arena=x1.1", "--fold", "1")
+    assert "folds answer" not in said and "A second simulator" not in said  # it was trained
     refuses("no fold 4: choose one of 1 to 3", run.what_if, "arena=x1.1", fold=4)
     if species == "custom":
         animarl("page", run.path, "--out", tmp_path / "page.html")
@@ -433,7 +446,7 @@ def test_the_simulators_of_all_folds_answer_together(species: str, tmp_path: Pat
 
 def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
     out = tmp_path / "wi"
-    arguments = ("whatif", "agent", "--change", "contact=0.15", "--repetitions", "1")
+    arguments = ("whatif", "agent", "--change", "contact=0.15", "--repetitions", "1", "--no-second")
     said = animarl(*arguments, "--out", out)
     assert "contact=0.15" in said and said.count("reached (%)") == 2  # unchanged, and changed
     table = pd.read_csv(out / "whatif.csv")
@@ -559,10 +572,50 @@ print("spent", first[0], time.process_time())
 """
 
 
+def test_where_two_simulators_disagree_the_recordings_cannot_tell(chase: Run) -> None:
+    row = {"shift": -0.03, "low": -0.08, "high": 0.02, "gap": 0.02, "warning": "none"}
+    row |= {"other_reading": math.nan, "p": math.nan}
+    other = {"second_low": -0.64, "second_high": -0.44, "second_gap": 0.1}
+    assert judge(row, of_a_cue=False) == "not clear of zero"
+    assert judge(row | other | {"second_shift": -0.54}, of_a_cue=False) == CANNOT_TELL
+    low, high = calibrated(row | other | {"second_shift": -0.54})
+    assert low < -0.54 < -0.03 < high
+    near = other | {"second_shift": -0.1, "second_low": -0.2, "second_high": 0.0}
+    assert judge(row | near, of_a_cue=False) == "not clear of zero"
+    assert calibrated(row | near) == calibrated(row)
+    # The same simulator twice says the same; a condition stands beside what was learned from.
+    found = ask([chase], ["arena=x0.9", "condition=shared"], second=chase, separately=True)
+    arena, cue = (answer.table.set_index("quantity") for answer in found.answers)
+    assert (arena["second_shift"] - arena["shift"]).abs().max() < 1e-9
+    assert not (arena["judged"] == CANNOT_TELL).any() and "second_shift" not in cue
+    known = chase.demos.select(episodes=np.flatnonzero(chase.demos.split != "test"))
+    reached = [(known.outcome[known.condition == c] > 0).mean() for c in (1, 0)]
+    assert cue.loc["reached", "trained_shift"] == pytest.approx(reached[0] - reached[1])
+
+
+def test_intervals_of_several_answers_hold_together() -> None:
+    rng, number, units = np.random.default_rng(0), 5, 12
+    held = []
+    for _ in range(400):
+        values = rng.normal(size=(number, units))
+        error = values.std(axis=1, ddof=1) / math.sqrt(units)
+        means = values.mean(axis=1)
+        margin = float(student_t(0.975, units - 1)) * error
+        ends = [
+            widen_for_family(Interval(m, m - e, m + e), number, units)
+            for m, e in zip(means, margin, strict=True)
+        ]
+        held.append(all(one.low < 0 < one.high for one in ends))
+    assert 0.92 < np.mean(held) < 0.98
+    alone = Interval(0.0, -1.0, 1.0)
+    assert widen_for_family(alone, 1, units) == alone
+
+
 @pytest.mark.slow
 def test_a_whatif_of_five_scenarios_costs_half_a_minute_at_most(tmp_path: Path) -> None:
     assert (load_run("agent").demos.split == "test").sum() == 50
-    arguments = ("whatif", "agent", "--change", "prey.speed=-20%..+20%/5", "--out")
+    asked = "--no-second", "--change", "prey.speed=-20%..+20%/5"
+    arguments = ("whatif", "agent", *asked, "--out")
     ran = python(SPENT, *arguments, tmp_path / "out")
     _, first, whole = ran.stdout.splitlines()[-1].split()
     assert float(first) < 5.0 and float(whole) < 30.0  # of processor time
