@@ -300,23 +300,20 @@ def _columns_beside(answers: Sequence[Answer]) -> dict[str, Callable[[pd.Series]
     """Return the columns of a second simulator, and of the recordings that were learned from."""
 
     def of_second(row: pd.Series) -> str:
+        if "second_shift" not in row:
+            return ""
         return _with_interval(row.rename({"second_shift": "second"}), "second")
 
     def of_recordings(row: pd.Series) -> str:
+        if "trained_shift" not in row:
+            return ""
         shift, margin = row["trained_shift"], row["trained_margin"]
         shown = Interval(shift, shift - margin, shift + margin)
         return with_interval(scaled(shown, _factor(row)))
 
     known = {name for answer in answers for name in answer.table}
-    columns = {
-        "second_shift": ("By other inputs", of_second),
-        "trained_shift": ("Learned from", of_recordings),
-    }
-    return {
-        title: lambda row, key=key, text=text: text(row) if key in row else ""
-        for key, (title, text) in columns.items()
-        if key in known
-    }
+    columns = {"By other inputs": of_second} if "second_shift" in known else {}
+    return columns | ({"Learned from": of_recordings} if "trained_shift" in known else {})
 
 
 def _truth_columns() -> dict[str, Callable[[pd.Series], str]]:

@@ -65,7 +65,7 @@ def disagrees(row: Mapping[Any, Any]) -> bool:
             ("shift", "low", "high"), ("second_shift", "second_low", "second_high"),
         )
     ]  # fmt: skip
-    return abs(other - row["shift"]) > math.hypot(*margins, row["gap"], row["second_gap"])
+    return bool(abs(other - row["shift"]) > math.hypot(*margins, row["gap"], row["second_gap"]))
 
 
 def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
