@@ -24,7 +24,13 @@ from animarl_algos.runs.permuted import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import FewerWorld, Present, simulate_from
 from animarl_algos.whatif.answer import MOST_TRIES, ask
-from animarl_algos.whatif.answer_page import answer_page, findings, save_answers, words
+from animarl_algos.whatif.answer_page import (
+    answer_page,
+    answer_table,
+    findings,
+    save_answers,
+    words,
+)
 from animarl_algos.whatif.changes import ChangedWorld, parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import (
     InputRange,
@@ -588,6 +594,8 @@ def test_where_two_simulators_disagree_the_recordings_cannot_tell(chase: Run) ->
     arena, cue = (answer.table.set_index("quantity") for answer in found.answers)
     assert (arena["second_shift"] - arena["shift"]).abs().max() < 1e-9
     assert not (arena["judged"] == CANNOT_TELL).any() and "second_shift" not in cue
+    columns = answer_table(*found.answers).columns
+    assert {"By other inputs", "Learned from"} <= set(columns)
     known = chase.demos.select(episodes=np.flatnonzero(chase.demos.split != "test"))
     reached = [(known.outcome[known.condition == c] > 0).mean() for c in (1, 0)]
     assert cue.loc["reached", "trained_shift"] == pytest.approx(reached[0] - reached[1])
