@@ -87,14 +87,15 @@ WRONG = 0.5  # of the true shift
 # From mild to absurd; ``inside`` are those whose inputs stay near what was recorded.
 COURTSHIP = (
     "female.thrust=x0.8", "female.thrust=x1.2", "female.thrust=x2", "males.thrust=x0.8",
-    "males.thrust=x1.2", "males.thrust=x2", "arena=x1.2", "arena=x3", "contact=x0.7",
-    "contact=x1.5", "all.damping=x2", "remove=male_1", "start=uniform",
+    "males.thrust=x1.2", "males.thrust=x2", "arena=x0.8", "arena=x1.2", "arena=x3",
+    "contact=x0.5", "contact=x0.7", "contact=x1.5", "all.damping=x2", "remove=male_1",
+    "start=uniform",
 )  # fmt: skip
 CHASE = (
     "prey.thrust=x0.8", "prey.thrust=x1.2", "prey.thrust=x2", "predators.thrust=x0.8",
-    "predators.thrust=x1.2", "predators.thrust=x2", "arena=x1.2", "arena=x3", "contact=x0.7",
-    "contact=x1.5", "all.damping=x2", "condition=individual", "condition=shared",
-    "start=uniform",
+    "predators.thrust=x1.2", "predators.thrust=x2", "arena=x0.8", "arena=x1.2", "arena=x3",
+    "contact=x0.5", "contact=x0.7", "contact=x1.5", "all.damping=x2", "condition=individual",
+    "condition=shared", "start=uniform",
 )  # fmt: skip
 SEARCH = (
     "moth.thrust=x0.8", "moth.thrust=x1.2", "moth.thrust=x2", "contact=x0.5", "contact=x2",
@@ -232,7 +233,7 @@ def false_claims(name: str, nulls: list[Run], repetitions: int) -> pd.DataFrame:
     """
     changes = [f"condition={one}" for one in nulls[0].scenario.species.conditions]
     tables = [
-        ask([one], changes, repetitions=repetitions, separately=True).table.set_index(
+        ask([one], changes, repetitions=repetitions, separately=True, family=False).table.set_index(
             ["scenario", "quantity"]
         )
         for one in nulls
@@ -314,8 +315,9 @@ def answered(
             continue
         texts = [scenario.name for scenario in asked]
         found = ask(
-            runs, texts, repetitions=repetitions, reading=reading, separately=True, truth=truth
-        )
+            runs, texts, repetitions=repetitions, reading=reading, separately=True, family=False,
+            truth=truth,
+        )  # fmt: skip
         usual = truth.roll_out(ChangedWorld(()), reading)[0]
         for answer in found.answers:
             yield Answered(reading, answer, found.baseline, usual)

@@ -187,6 +187,7 @@ def ask(
     repetitions: int = REPETITIONS,
     reading: Reading = "habit",
     separately: bool = False,
+    family: bool = True,
     seed: int = 0,
     permuted: Sequence[TrainedRun] = (),
     second: TrainedRun | None = None,
@@ -208,7 +209,9 @@ def ask(
     reading
         What policies perceive of a changed body (:data:`animarl_envs.species.base.Reading`).
     separately
-        Whether every change is a question of its own.
+        Whether every change is a scenario of its own.
+    family
+        Whether the intervals of several scenarios hold together.
     seed
         Of the resamples.
     permuted
@@ -244,7 +247,7 @@ def ask(
         _Comparison(some, unit, repetitions, reading, seed, keys)
         for some in (runs, *([run] for run in permuted))
     )
-    comparison.truth, comparison.answers = truth, len(scenarios)
+    comparison.truth, comparison.answers = truth, len(scenarios) if family else 1
     other = None
     if second is not None and any(scenario.condition is None for scenario in scenarios):
         other = _Comparison([second], unit, repetitions, reading, seed, keys)
