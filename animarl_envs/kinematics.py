@@ -75,7 +75,7 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
                     p = position[i, x, b]
                     v = velocity[i, x, b]
                     held = min(size, max(-size, p))
-                    into = p != held and v * p > 0.0
+                    into = (p != held) & (v * p > 0.0)
                     position[i, x, b] = held
                     velocity[i, x, b] = 0.0 if into else v
         elif shape == DISC:

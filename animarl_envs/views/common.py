@@ -226,7 +226,7 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> Int
     if array.dtype.kind not in "iu":
         raise InputError(f"actions are {array.dtype}: give whole numbers, 0 to {num_actions - 1}")
     whole = array.astype(np.int64, copy=False)
-    if whole.view(np.uint64).max() >= num_actions:  # negative ones are large, too
+    if np.maximum.reduce(whole.view(np.uint64)) >= num_actions:  # negative ones are large, too
         worst = array.max() if array.max() >= num_actions else array.min()
         raise InputError(f"action {worst} is out of range: choose 0 to {num_actions - 1}")
     return whole

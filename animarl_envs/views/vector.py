@@ -228,9 +228,8 @@ class AnimalVectorEnv(  # type: ignore[misc]
             "step": world.step_count.copy(),
             "outcome": world.outcome.astype(np.int64),
         }
-        for c, name in enumerate(world.reward_components):
-            infos[name] = world.components[:, i, c].copy()
-        return infos
+        paid = world.components[:, i].T.copy()
+        return infos | dict(zip(world.reward_components, paid, strict=True))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> AnimalVectorEnv:
         twin = object.__new__(type(self))

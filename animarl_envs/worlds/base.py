@@ -244,10 +244,8 @@ class World(ABC):
         """Advance all copies by one step: move, decide the episode's end, reward, sense."""
 
     def observations_of(self, i: int) -> NDArray[np.float32]:
-        """Return a copy of what individual ``i`` observes, ``(B, n)``."""
-        seen = np.empty((self.num_copies, self.observation.shape[2]), np.float32)
-        _gather(self.observation.transpose(1, 2, 0)[i], seen)
-        return seen
+        """Return a copy of what individual ``i`` observes, ``(B, n)``, by columns in memory."""
+        return self.observation[:, i].copy(order="F")
 
     def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
         """Return the actions ``(B, K)`` that the next step executes when given ``actions``.
@@ -377,12 +375,3 @@ def _add_noise(mask, seen, deviation, random, observation):  # type: ignore[no-u
                     observation[b, i, c] = seen[b, i, c]
                     if deviation > 0.0:
                         observation[b, i, c] += deviation * next_normal(random, b)
-
-
-@jit
-def _gather(by_component, by_copy):  # type: ignore[no-untyped-def]
-    """Transpose; NumPy takes twice as long."""
-    n, B = by_component.shape
-    for c in range(n):
-        for b in range(B):
-            by_copy[b, c] = by_component[c, b]

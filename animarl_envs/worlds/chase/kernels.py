@@ -132,6 +132,7 @@ def make_reference(parts):  # type: ignore[no-untyped-def]
 def advance(wanted, moving, observing, state):  # type: ignore[no-untyped-def]
     """Move one step if ``moving`` and observe if ``observing``; ``wanted`` is ``(B, K)``."""
     dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
+    limit = state.time_limit
     damping, thrust, pushes, drivers = state.damping, state.thrust, state.pushes, state.drivers
     actions, position, velocity = state.actions, state.position, state.velocity
     acceleration, towards, demos, demo = state.acceleration, state.towards, state.demos, state.demo
@@ -166,7 +167,10 @@ def advance(wanted, moving, observing, state):  # type: ignore[no-untyped-def]
         if state.walled:
             rebound(field, position, velocity)
         accelerate(velocity, damping, thrust, dt, acceleration)
-        if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
+        recorded = warmup > 0
+        for i in range(K):
+            recorded |= drivers[i] == REPLAY
+        if recorded:  # recorded positions stay where they are, walls or not
             replay(
                 drivers,
                 warmup,
@@ -182,10 +186,12 @@ def advance(wanted, moving, observing, state):  # type: ignore[no-untyped-def]
         turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies, state.headed)
         follow_course(state.cells, velocity, step_count)
         _end(state.free, state)
-        for b in range(B):
+        for b in range(B):  # few arrays in a loop, or the compiler does not vectorise it
             outcome[b] = code[b]
+        for b in range(B):
             terminated[b] = code[b] != TIME_OUT
-            truncated[b] = step_count[b] >= state.time_limit and code[b] == TIME_OUT
+        for b in range(B):
+            truncated[b] = (step_count[b] >= limit) & (code[b] == TIME_OUT)
     if observing:
         observe(
             position,
@@ -283,19 +289,21 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity, befo
 
 @inline_kernel
 def _push(i, actions, towards, damping, thrust, pushes, dt, position, velocity, before):  # type: ignore[no-untyped-def]
-    for b in range(position.shape[2]):
-        ahead = pushes[i, 0, actions[i, b]]
-        left = pushes[i, 1, actions[i, b]]
-        ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
-        ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
-        vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
-        vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
-        before[i, 0, b] = velocity[i, 0, b]
-        before[i, 1, b] = velocity[i, 1, b]
-        velocity[i, 0, b] = vx
-        velocity[i, 1, b] = vy
-        position[i, 0, b] += vx * dt
-        position[i, 1, b] += vy * dt
+    B = position.shape[2]
+    for b in range(B):
+        before[i, 0, b] = pushes[i, 0, actions[i, b]]
+        before[i, 1, b] = pushes[i, 1, actions[i, b]]
+    for b in range(B):
+        ahead, left = before[i, 0, b], before[i, 1, b]
+        before[i, 0, b] = ahead * towards[i, 0, b] - left * towards[i, 1, b]
+        before[i, 1, b] = ahead * towards[i, 1, b] + left * towards[i, 0, b]
+    for x in range(2):
+        for b in range(B):
+            now = velocity[i, x, b]
+            after = next_velocity(now, before[i, x, b], damping[i], thrust[i], dt)
+            before[i, x, b] = now
+            velocity[i, x, b] = after
+            position[i, x, b] += after * dt
 
 
 @inline_wrapper

@@ -78,26 +78,31 @@ def _lay_out(position, velocity, state):  # type: ignore[no-untyped-def]
 @inline_kernel
 def find_focus(i, position, others):  # type: ignore[no-untyped-def]
     """Fill the first row of ``others``, without velocities: the focus of individual ``i``."""
-    last = position.shape[0] - 1
+    last, B = position.shape[0] - 1, position.shape[2]
     if i != last:
-        for b in range(position.shape[2]):
-            dx = position[last, 0, b] - position[i, 0, b]
-            dy = position[last, 1, b] - position[i, 1, b]
-            others[0, DX, b] = dx
-            others[0, DY, b] = dy
-            others[0, APART, b] = math.sqrt(dx * dx + dy * dy)
+        _measure(i, last, DX, APART, position, others)
         return
-    for b in range(position.shape[2]):
-        others[0, APART, b] = np.inf
-    for j in range(last):
+    _measure(i, 0, DX, APART, position, others)
+    for j in range(1, last):  # few arrays in a loop, or the compiler does not vectorise it
+        _measure(i, j, DVX, INDEX, position, others)
+        for x in range(2):
+            for b in range(B):
+                nearer = others[0, INDEX, b] < others[0, APART, b]
+                kept = others[0, DX + x, b]
+                others[0, DX + x, b] = others[0, DVX + x, b] if nearer else kept
+        for b in range(B):
+            others[0, APART, b] = min(others[0, APART, b], others[0, INDEX, b])
+
+
+@inline_kernel
+def _measure(i, j, offset, apart, position, others):  # type: ignore[no-untyped-def]
+    """Write the offset and the distance from individual ``i`` to ``j`` to rows of the first."""
+    for x in range(2):
         for b in range(position.shape[2]):
-            dx = position[j, 0, b] - position[i, 0, b]
-            dy = position[j, 1, b] - position[i, 1, b]
-            apart = math.sqrt(dx * dx + dy * dy)
-            nearer = apart < others[0, APART, b]
-            others[0, DX, b] = dx if nearer else others[0, DX, b]
-            others[0, DY, b] = dy if nearer else others[0, DY, b]
-            others[0, APART, b] = apart if nearer else others[0, APART, b]
+            others[0, offset + x, b] = position[j, x, b] - position[i, x, b]
+    for b in range(position.shape[2]):
+        dx, dy = others[0, offset, b], others[0, offset + 1, b]
+        others[0, apart, b] = math.sqrt(dx * dx + dy * dy)
 
 
 @inline_kernel

@@ -4,8 +4,8 @@ A pursuer predicts where its target, of several the nearest, will be at some lat
 its velocity and its last acceleration, and walls hold it. It accelerates towards the first of these
 places that it can reach in time, to within contact, or else towards the last.
 
-A target looks ahead along each of its actions. It takes the one that leaves it farthest from walls,
-and from pursuers that accelerate straight at where it is now.
+A target looks ahead along each of its actions. It takes the one that leaves it farthest from
+pursuers that accelerate straight at where it is now, and at the last look from walls.
 
 Copies are taken ``BLOCK`` at a time, so that the numbers of a loop stay in the first cache. Lengths
 are float32 in sizes of the arena, so that a vector instruction takes eight copies. Only the choice
@@ -20,22 +20,33 @@ import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import inline_kernel, jit
+from animarl_envs.locomotion import ACTION_VECTORS, NUM_DIRECTIONS
 
-SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
+SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
 LOOKS = 3  # a target looks ahead by thirds of the time in which its thrust carries it half a size
-LEADS = 12  # places at which a pursuer predicts its target
+LEADS = 8  # places at which a pursuer predicts its target
 HORIZON = 2.0  # time to the last of them, in those in which its thrust carries it half a size
-WALL_WEIGHT = 10.0  # of the walls' cost, beside (size / distance)^2 of each pursuer
+WALL_WEIGHT = 15.0  # of the walls' cost, beside (size / distance)^2 of each pursuer
 SOFTENING = 0.0025  # added to the squared distance in sizes, which may be zero
 WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
-BLOCK = 128  # copies that a rule decides for at a time
-NO_WALL = -1  # in place of the code of a shape
-FAR_AWAY = 1e9  # a pursuer there costs nothing; it makes their number even
+FAR_AWAY = 1e18  # squared distance of no pursuer; it makes their number even
+# Scratch is one array with rows of BLOCK copies, so that the compiler sees which rows are apart.
+BLOCK = 64
+OWN, FOCUS = 0, 4 * BLOCK  # place and velocity; direction of the focus
+LOWEST, BEST = 6 * BLOCK, 7 * BLOCK  # the least cost and its action
+OTHER = 8 * BLOCK  # place, velocity, and acceleration or the way to the target
+RIVAL, AIM = 14 * BLOCK, 20 * BLOCK  # another target; the way to the place of interception
+COST = 22 * BLOCK  # of the pushes and of none
+PURSUERS, PURSUER = COST + (NUM_DIRECTIONS + 1) * BLOCK, 3 * LOOKS * BLOCK
+_C: Any = np.float32(ACTION_VECTORS[1, 0])
+_S: Any = np.float32(0.5)
 _ZERO: Any = np.float32(0.0)
 _ONE: Any = np.float32(1.0)
+_TWO: Any = np.float32(2.0)
 _TINY, _MOST = np.float32(1e-9), np.float32(np.finfo(np.float32).max)
-_SOFT, _WEIGHT = np.float32(SOFTENING), np.float32(WALL_WEIGHT / WALL_MARGIN**2)
-_INSIDE: Any = np.float32(1.0 - WALL_MARGIN)
+_SOFT: Any = np.float32(SOFTENING)
+_STEEP: Any = np.float32(math.sqrt(WALL_WEIGHT) / WALL_MARGIN)  # (_STEEP * depth)^2 is the cost
+_INSIDE: Any = np.float32(_STEEP * (1.0 - WALL_MARGIN))
 
 
 @jit
@@ -64,7 +75,6 @@ def decide(  # type: ignore[no-untyped-def]
     last, scale = K - 1, 1.0 / size
     flees = (i == last) != lone
     first, end = (0, last) if i == last else (last, K)
-    pairs = (end - first + 1) // 2
     looks = LOOKS if flees else LEADS
     steps = np.ceil((1.0 if flees else HORIZON) * np.sqrt(size / thrust[i]) / dt)
     reach = np.empty((K, looks, 2), np.float32)
@@ -74,34 +84,35 @@ def decide(  # type: ignore[no-untyped-def]
             carried, pushed = _reach(damping[j], thrust[j], dt, until)
             reach[j, look, 0], reach[j, look, 1] = carried, pushed * scale
     contact = np.float32(contact_radius * scale)
-    contact = np.float32(contact_radius * scale)
-    room = min(B, BLOCK)  # scratch of a block; the last block may leave some of it unused
-    own, other = np.zeros((6, room), np.float32), np.zeros((7, room), np.float32)
-    theirs = np.full((4 * LOOKS * pairs, room), FAR_AWAY, np.float32)
-    lowest, best = np.empty(room, np.float32), np.empty(room, np.float32)
+    pairs = (end - first + 1) // 2
+    scratch = np.zeros(PURSUERS + (end - first + 1) * PURSUER, np.float32)
+    for look in range(LOOKS):  # behind the last pursuer, for a pair
+        row = PURSUERS + ((end - first) * LOOKS + look) * 3 * BLOCK
+        scratch[row : row + BLOCK] = FAR_AWAY
     for begin in range(0, B, BLOCK):
         count = min(B - begin, BLOCK)
-        _stage(i, position, velocity, scale, begin, own)
-        for x in range(2):
-            for b in range(count):
-                own[4 + x, b] = towards[i, x, begin + b]
-        for j in range(first, end):
-            if flees:
-                pair, second = (j - first) // 2, (j - first) % 2
-                _stage(j, position, velocity, scale, begin, other)
-                _place_pursuer(4 * LOOKS * pair + 2 * second, reach[j], own, other, theirs)
-            else:
-                only = j == first
-                _stage_target(j, only, position, velocity, acceleration, scale, begin, own, other)
-        for b in range(room):
-            lowest[b] = _MOST
-            best[b] = _ZERO
-        if flees:
-            _flee(shape, reach[i], pushes[i], pairs, own, theirs, lowest, best)
-        else:
-            _intercept(shape, contact, reach[i], reach[first], pushes[i], own, other, lowest, best)
+        _stage(i, position, scale, begin, count, scratch, OWN)
+        _stage(i, velocity, scale, begin, count, scratch, OWN + 2 * BLOCK)
+        _stage(i, towards, 1.0, begin, count, scratch, FOCUS)
         for b in range(count):
-            actions[i, begin + b] = np.int32(best[b])
+            scratch[LOWEST + b] = _MOST
+        for j in range(first, end):
+            to = OTHER if flees or j == first else RIVAL
+            _stage(j, position, scale, begin, count, scratch, to)
+            _stage(j, velocity, scale, begin, count, scratch, to + 2 * BLOCK)
+            if flees:
+                row = PURSUERS + (j - first) * PURSUER
+                _place_pursuer(reach[j], reach[i], count, scratch, scratch[row:])
+            else:
+                _stage(j, acceleration, 1.0, begin, count, scratch, to + 4 * BLOCK)
+                if j > first:
+                    _keep_nearer(count, scratch)
+        if flees:
+            _flee(shape, reach[i], pushes[i], pairs, count, scratch)
+        else:
+            _intercept(shape, contact, reach[i], reach[first], pushes[i], count, scratch)
+        for b in range(count):
+            actions[i, begin + b] = np.int32(scratch[BEST + b])
 
 
 @nb.njit(inline="always")
@@ -118,146 +129,220 @@ def _reach(damping, thrust, dt, steps):  # type: ignore[no-untyped-def]
 
 
 @inline_kernel
-def _stage(i, position, velocity, scale, begin, out):  # type: ignore[no-untyped-def]
-    """Write position and velocity of individual ``i`` in the copies from ``begin`` on."""
+def _stage(i, vectors, scale, begin, count, scratch, row):  # type: ignore[no-untyped-def]
+    """Write scaled vectors of individual ``i`` in the copies from ``begin`` on."""
+    out = scratch[row:]
     for x in range(2):
-        for b in range(min(position.shape[2] - begin, BLOCK)):
-            out[x, b] = position[i, x, begin + b] * scale
-            out[2 + x, b] = velocity[i, x, begin + b] * scale
+        source, to = vectors[i, x, begin:], out[x * BLOCK :]
+        for b in range(count):
+            to[b] = source[b] * scale
 
 
 @inline_kernel
-def _stage_target(j, only, position, velocity, acceleration, scale, begin, own, target):  # type: ignore[no-untyped-def]
-    """Write what is known of target ``j`` where it is nearer than the one in ``target``.
-
-    Its rows are position, velocity, acceleration and squared distance.
-    """
-    for b in range(min(position.shape[2] - begin, BLOCK)):
-        x = position[j, 0, begin + b] * scale
-        y = position[j, 1, begin + b] * scale
-        dx = x - own[0, b]
-        dy = y - own[1, b]
-        nearer = only or dx * dx + dy * dy < target[6, b]
-        pushed_x = min(1.0, max(-1.0, acceleration[j, 0, begin + b]))
-        pushed_y = min(1.0, max(-1.0, acceleration[j, 1, begin + b]))
-        target[0, b] = x if nearer else target[0, b]
-        target[1, b] = y if nearer else target[1, b]
-        target[2, b] = velocity[j, 0, begin + b] * scale if nearer else target[2, b]
-        target[3, b] = velocity[j, 1, begin + b] * scale if nearer else target[3, b]
-        target[4, b] = pushed_x if nearer else target[4, b]
-        target[5, b] = pushed_y if nearer else target[5, b]
-        target[6, b] = dx * dx + dy * dy if nearer else target[6, b]
+def _keep_nearer(count, scratch):  # type: ignore[no-untyped-def]
+    """Keep of two staged targets the nearer one."""
+    other, rival, own = scratch[OTHER:], scratch[RIVAL:], scratch[OWN:]
+    for b in range(count):
+        x, y = rival[b] - own[b], rival[BLOCK + b] - own[BLOCK + b]
+        there_x, there_y = other[b] - own[b], other[BLOCK + b] - own[BLOCK + b]
+        nearer = x * x + y * y < there_x * there_x + there_y * there_y
+        for row in range(0, 6 * BLOCK, BLOCK):
+            other[row + b] = rival[row + b] if nearer else other[row + b]
 
 
 @jit
-def _intercept(shape, contact, reach, their_reach, pushes, own, target, lowest, best):  # type: ignore[no-untyped-def]
+def _intercept(shape, contact, reach, their_reach, pushes, count, scratch):  # type: ignore[no-untyped-def]
     """Take the action nearest to the way to the place of interception."""
-    aim = np.zeros_like(own[:2])
-    for look in range(len(reach) - 1, -1, -1):
-        carried, pushed = reach[look, 0], reach[look, 1] + contact
-        their_carried, their_pushed = their_reach[look, 0], their_reach[look, 1]
-        farthest = _MOST if look == len(reach) - 1 else pushed * pushed
-        for b in range(aim.shape[1]):
-            x = target[0, b] + their_carried * target[2, b] + their_pushed * target[4, b]
-            y = target[1, b] + their_carried * target[3, b] + their_pushed * target[5, b]
-            if shape == SQUARE:
-                x = min(_ONE, max(-_ONE, x))
-                y = min(_ONE, max(-_ONE, y))
-            elif shape == DISC:
-                within = _ONE / max(_ONE, math.sqrt(x * x + y * y))
-                x *= within
-                y *= within
-            x -= own[0, b] + carried * own[2, b]
-            y -= own[1, b] + carried * own[3, b]
-            reached = x * x + y * y <= farthest
-            aim[0, b] = x if reached else aim[0, b]
-            aim[1, b] = y if reached else aim[1, b]
-    for b in range(aim.shape[1]):
-        x, y = aim[0, b], aim[1, b]
-        aim[0, b] = x * own[4, b] + y * own[5, b]
-        aim[1, b] = y * own[4, b] - x * own[5, b]
-    for k in range(pushes.shape[1]):
-        ahead, left, number = np.float32(pushes[0, k]), np.float32(pushes[1, k]), np.float32(k)
-        for b in range(aim.shape[1]):
-            cost = -(ahead * aim[0, b] + left * aim[1, b])
-            better = cost < lowest[b]
-            best[b] = number if better else best[b]
-            lowest[b] = cost if better else lowest[b]
-
-
-@inline_kernel
-def _place_pursuer(row, reach, own, pursuer, theirs):  # type: ignore[no-untyped-def]
-    """Write where a pursuer will be at each look if it accelerates straight at where ``own`` is.
-
-    The first place goes to ``row`` of ``theirs`` and the next, the others four rows below.
-    """
-    for b in range(own.shape[1]):
-        x = own[0, b] - pursuer[0, b]
-        y = own[1, b] - pursuer[1, b]
-        per_distance = _ONE / (math.sqrt(x * x + y * y) + _TINY)
-        pursuer[4, b] = x * per_distance
-        pursuer[5, b] = y * per_distance
-    for look in range(LOOKS):
-        carried, pushed = reach[look, 0], reach[look, 1]
-        for x in range(2):
-            for b in range(own.shape[1]):
-                place = pursuer[x, b] + carried * pursuer[2 + x, b]
-                theirs[row + 4 * look + x, b] = place + pushed * pursuer[4 + x, b]
-
-
-@jit
-def _flee(shape, reach, pushes, pairs, own, theirs, lowest, best):  # type: ignore[no-untyped-def]
-    """Take the action of the least danger at the looks; pursuers are summed two at a time."""
-    coasting, cost = np.empty((2 * LOOKS, len(best)), np.float32), np.zeros_like(best)
-    for look in range(LOOKS):
-        for x in range(2):
-            for b in range(len(best)):
-                coasting[2 * look + x, b] = own[x, b] + reach[look, 0] * own[2 + x, b]
-    for k in range(pushes.shape[1]):
-        ahead, left, number = np.float32(pushes[0, k]), np.float32(pushes[1, k]), np.float32(k)
-        for pair in range(pairs):
-            row, walls = 4 * LOOKS * pair, shape if pair == 0 else NO_WALL
-            _add_danger(ahead, left, reach[:, 1], row, own, coasting, theirs, walls, cost)
-        for b in range(len(best)):
-            better = cost[b] < lowest[b]
-            best[b] = number if better else best[b]
-            lowest[b] = cost[b] if better else lowest[b]
-            cost[b] = _ZERO
-
-
-@jit
-def _add_danger(ahead, left, pushed, row, own, coasting, theirs, walls, cost):  # type: ignore[no-untyped-def]
-    """Add to ``cost`` what an action costs at the three looks, where two pursuers are near."""
-    pushed_1, pushed_2, pushed_3 = pushed[0], pushed[1], pushed[2]
-    for b in range(len(cost)):
-        ax = ahead * own[4, b] - left * own[5, b]
-        ay = ahead * own[5, b] + left * own[4, b]
-        x1, y1 = coasting[0, b] + pushed_1 * ax, coasting[1, b] + pushed_1 * ay
-        x2, y2 = coasting[2, b] + pushed_2 * ax, coasting[3, b] + pushed_2 * ay
-        x3, y3 = coasting[4, b] + pushed_3 * ax, coasting[5, b] + pushed_3 * ay
-        danger = _danger(x1, y1, row, b, theirs, walls) + _danger(x2, y2, row + 4, b, theirs, walls)
-        cost[b] += danger + _danger(x3, y3, row + 8, b, theirs, walls)
+    for look in range(LEADS - 1, -1, -1):
+        far = _MOST if look == LEADS - 1 else (reach[look, 1] + contact) ** 2
+        if shape == SQUARE:  # compiled for each shape, so that its loop has no branch
+            _aim(SQUARE, far, reach[look, 0], their_reach[look], count, scratch)
+        elif shape == DISC:
+            _aim(DISC, far, reach[look, 0], their_reach[look], count, scratch)
+        else:
+            _aim(OPEN, far, reach[look, 0], their_reach[look], count, scratch)
+    for k in range(0, pushes.shape[1] - 1, NUM_DIRECTIONS):
+        magnitude = np.float32(pushes[0, k])
+        for b in range(count):
+            x, y = magnitude * scratch[AIM + b], magnitude * scratch[AIM + BLOCK + b]
+            ex, ey = scratch[FOCUS + b], scratch[FOCUS + BLOCK + b]
+            a0, a1, a2, a3, a4, a5 = _along(x * ex + y * ey, y * ex - x * ey)
+            _put(0, -a0, a0, scratch, b)
+            _put(1, -a1, a1, scratch, b)
+            _put(2, -a2, a2, scratch, b)
+            _put(3, -a3, a3, scratch, b)
+            _put(4, -a4, a4, scratch, b)
+            _put(5, -a5, a5, scratch, b)
+        _take_best(k, count, scratch)
 
 
 @nb.njit(inline="always")
-def _danger(x, y, row, b, theirs, walls):  # type: ignore[no-untyped-def]
-    """Return the cost of being at ``(x, y)``: (1 / distance)^2 of two pursuers, and of the walls.
+def _aim(shape, farthest, carried, their_reach, count, scratch):  # type: ignore[no-untyped-def]
+    """Aim at the predicted place of the target where it can be reached."""
+    their_carried, their_pushed = their_reach[0], their_reach[1]
+    for b in range(count):
+        x = scratch[OTHER + b] + their_carried * scratch[OTHER + 2 * BLOCK + b]
+        y = scratch[OTHER + BLOCK + b] + their_carried * scratch[OTHER + 3 * BLOCK + b]
+        x += their_pushed * min(_ONE, max(-_ONE, scratch[OTHER + 4 * BLOCK + b]))
+        y += their_pushed * min(_ONE, max(-_ONE, scratch[OTHER + 5 * BLOCK + b]))
+        if shape == SQUARE:
+            x = min(_ONE, max(-_ONE, x))
+            y = min(_ONE, max(-_ONE, y))
+        elif shape == DISC:
+            within = _ONE / max(_ONE, math.sqrt(x * x + y * y))
+            x *= within
+            y *= within
+        x -= scratch[OWN + b] + carried * scratch[OWN + 2 * BLOCK + b]
+        y -= scratch[OWN + BLOCK + b] + carried * scratch[OWN + 3 * BLOCK + b]
+        reached = x * x + y * y <= farthest
+        scratch[AIM + b] = x if reached else scratch[AIM + b]
+        scratch[AIM + BLOCK + b] = y if reached else scratch[AIM + BLOCK + b]
 
-    ``row`` is the first of the pursuers' four in ``theirs``. The walls, of that shape, cost the
-    squared depth in their margin.
+
+@nb.njit(inline="always")
+def _along(ahead, left):  # type: ignore[no-untyped-def]
+    """Return the products of a vector with the first six directions; the others are opposite."""
+    one, two, three, four = _C * ahead, _S * left, _S * ahead, _C * left
+    return ahead, one - two, three - four, -left, -three - four, -one - two
+
+
+@nb.njit(inline="always")
+def _put(k, cost, opposite, scratch, b):  # type: ignore[no-untyped-def]
+    """Write the costs of direction ``k`` and of its opposite."""
+    scratch[COST + k * BLOCK + b] = cost
+    scratch[COST + (k + 6) * BLOCK + b] = opposite
+
+
+@inline_kernel
+def _take_best(first, count, scratch):  # type: ignore[no-untyped-def]
+    """Compare the costs of the directions, whose first is that action, with the lowest so far."""
+    for row in range(0, NUM_DIRECTIONS, 4):
+        cost, number = scratch[COST + row * BLOCK :], np.float32(first + row)
+        for b in range(count):
+            best, lowest = scratch[BEST + b], scratch[LOWEST + b]
+            for k in range(4):
+                better = cost[k * BLOCK + b] < lowest
+                best = number + np.float32(k) if better else best
+                lowest = cost[k * BLOCK + b] if better else lowest
+            scratch[BEST + b], scratch[LOWEST + b] = best, lowest
+
+
+@inline_kernel
+def _place_pursuer(reach, own_reach, count, scratch, out):  # type: ignore[no-untyped-def]
+    """Write three rows for each look at a pursuer that accelerates straight at its target.
+
+    With its offset ``o`` from the coasting target these are ``o^2``, and twice the target's reach
+    times ``o`` ahead and left, so that the squared distance after a push ``a`` is their sum with
+    factors of ``a`` and a constant.
     """
-    dx = theirs[row, b] - x
-    dy = theirs[row + 1, b] - y
-    one = dx * dx + dy * dy + _SOFT
-    dx = theirs[row + 2, b] - x
-    dy = theirs[row + 3, b] - y
-    two = dx * dx + dy * dy + _SOFT
-    cost = (one + two) / (one * two)  # one division for both
-    if walls == SQUARE:
+    for b in range(count):
+        x = scratch[OWN + b] - scratch[OTHER + b]
+        y = scratch[OWN + BLOCK + b] - scratch[OTHER + BLOCK + b]
+        per_distance = _ONE / (math.sqrt(x * x + y * y) + _TINY)
+        scratch[OTHER + 4 * BLOCK + b] = x * per_distance
+        scratch[OTHER + 5 * BLOCK + b] = y * per_distance
+    for look in range(LOOKS):
+        carried, pushed = reach[look, 0], reach[look, 1]
+        own_carried, twice = own_reach[look, 0], _TWO * own_reach[look, 1]
+        at = out[3 * look * BLOCK :]
+        for b in range(count):
+            x = scratch[OWN + b] + own_carried * scratch[OWN + 2 * BLOCK + b]
+            y = scratch[OWN + BLOCK + b] + own_carried * scratch[OWN + 3 * BLOCK + b]
+            x -= scratch[OTHER + b] + carried * scratch[OTHER + 2 * BLOCK + b]
+            y -= scratch[OTHER + BLOCK + b] + carried * scratch[OTHER + 3 * BLOCK + b]
+            x -= pushed * scratch[OTHER + 4 * BLOCK + b]
+            y -= pushed * scratch[OTHER + 5 * BLOCK + b]
+            ex, ey = twice * scratch[FOCUS + b], twice * scratch[FOCUS + BLOCK + b]
+            at[b] = x * x + y * y + _SOFT
+            at[BLOCK + b] = x * ex + y * ey
+            at[2 * BLOCK + b] = y * ex - x * ey
+
+
+@jit
+def _flee(shape, reach, pushes, pairs, count, scratch):  # type: ignore[no-untyped-def]
+    """Take the action of the least danger at the looks; pursuers are summed two at a time."""
+    for k in range(0, pushes.shape[1] - 1, NUM_DIRECTIONS):
+        magnitude = np.float32(pushes[0, k])
+        carried, pushed = reach[LOOKS - 1, 0], magnitude * reach[LOOKS - 1, 1]
+        if shape == SQUARE:  # compiled for each shape, so that its loop has no branch
+            _cost_walls(SQUARE, carried, pushed, count, scratch)
+        elif shape == DISC:
+            _cost_walls(DISC, carried, pushed, count, scratch)
+        else:
+            scratch[COST:PURSUERS] = _ZERO
+        for pair in range(pairs):
+            for look in range(LOOKS):
+                row = PURSUERS + (2 * pair * LOOKS + look) * 3 * BLOCK
+                _add_danger(magnitude, reach[look, 1], count, scratch, scratch[row:])
+        _take_best(k, count, scratch)
+    coast = np.float32(pushes.shape[1] - 1)
+    for b in range(count):
+        better = scratch[COST + NUM_DIRECTIONS * BLOCK + b] < scratch[LOWEST + b]
+        scratch[BEST + b] = coast if better else scratch[BEST + b]
+
+
+@nb.njit(inline="always")
+def _cost_walls(shape, carried, pushed, count, scratch):  # type: ignore[no-untyped-def]
+    """Write what walls cost where each push leads, and without a push."""
+    for b in range(count):
+        x = _STEEP * (scratch[OWN + b] + carried * scratch[OWN + 2 * BLOCK + b])
+        y = _STEEP * (scratch[OWN + BLOCK + b] + carried * scratch[OWN + 3 * BLOCK + b])
+        ex, ey = pushed * scratch[FOCUS + b], pushed * scratch[FOCUS + BLOCK + b]
+        ex *= _STEEP
+        ey *= _STEEP
+        x0, x1, x2, x3, x4, x5 = _along(ex, -ey)
+        y0, y1, y2, y3, y4, y5 = _along(ey, ex)
+        _put(0, _depth(shape, x + x0, y + y0), _depth(shape, x - x0, y - y0), scratch, b)
+        _put(1, _depth(shape, x + x1, y + y1), _depth(shape, x - x1, y - y1), scratch, b)
+        _put(2, _depth(shape, x + x2, y + y2), _depth(shape, x - x2, y - y2), scratch, b)
+        _put(3, _depth(shape, x + x3, y + y3), _depth(shape, x - x3, y - y3), scratch, b)
+        _put(4, _depth(shape, x + x4, y + y4), _depth(shape, x - x4, y - y4), scratch, b)
+        _put(5, _depth(shape, x + x5, y + y5), _depth(shape, x - x5, y - y5), scratch, b)
+        scratch[COST + NUM_DIRECTIONS * BLOCK + b] = _depth(shape, x, y)
+
+
+@nb.njit(inline="always")
+def _depth(shape, x, y):  # type: ignore[no-untyped-def]
+    """Return the squared depth of a place in the margin of the walls."""
+    depth = _ZERO
+    if shape == SQUARE:
         depth_x = x - min(_INSIDE, max(-_INSIDE, x))
         depth_y = y - min(_INSIDE, max(-_INSIDE, y))
-        cost += _WEIGHT * (depth_x * depth_x + depth_y * depth_y)
-    elif walls == DISC:
+        depth = depth_x * depth_x + depth_y * depth_y
+    elif shape == DISC:
         depth = max(_ZERO, math.sqrt(x * x + y * y) - _INSIDE)
-        cost += _WEIGHT * depth * depth
-    return cost
+        depth *= depth
+    return depth
+
+
+@inline_kernel
+def _add_danger(magnitude, pushed, count, scratch, pair):  # type: ignore[no-untyped-def]
+    """Add (1 / distance)^2 of two pursuers at one look to the costs of all directions."""
+    own = (magnitude * pushed) * (magnitude * pushed)
+    second = pair[PURSUER:]
+    for b in range(count):
+        d, e = pair[b], second[b]
+        p0, p1, p2, p3, p4, p5 = _along(
+            magnitude * pair[BLOCK + b], magnitude * pair[2 * BLOCK + b]
+        )
+        q0, q1, q2, q3, q4, q5 = _along(
+            magnitude * second[BLOCK + b], magnitude * second[2 * BLOCK + b]
+        )
+        scratch[COST + NUM_DIRECTIONS * BLOCK + b] += (d + e) / (d * e)
+        d += own
+        e += own
+        _add(0, d, e, p0, q0, scratch, b)
+        _add(1, d, e, p1, q1, scratch, b)
+        _add(2, d, e, p2, q2, scratch, b)
+        _add(3, d, e, p3, q3, scratch, b)
+        _add(4, d, e, p4, q4, scratch, b)
+        _add(5, d, e, p5, q5, scratch, b)
+
+
+@nb.njit(inline="always")
+def _add(k, first, second, along_first, along_second, scratch, b):  # type: ignore[no-untyped-def]
+    """Add to the costs of direction ``k`` and of its opposite; one division for both pursuers."""
+    one, two = first + along_first, second + along_second
+    scratch[COST + k * BLOCK + b] += (one + two) / (one * two)
+    one, two = first - along_first, second - along_second
+    scratch[COST + (k + 6) * BLOCK + b] += (one + two) / (one * two)

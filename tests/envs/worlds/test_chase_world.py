@@ -390,7 +390,7 @@ def test_the_target_takes_the_action_of_the_lowest_cost(individuals: int, shape:
             reach = np.abs(place) if square else np.linalg.norm(place, axis=1, keepdims=True)
             depth = np.maximum(reach - (size - margin), 0.0) / margin * (shape != OPEN)
             gap = np.linalg.norm(chaser - place[:, None], axis=-1) / size
-            costs[k] += WALL_WEIGHT * (depth**2).sum(axis=1)
+            costs[k] += WALL_WEIGHT * (depth**2).sum(axis=1) * (t == steps)
             costs[k] += (1.0 / (gap**2 + SOFTENING)).sum(axis=1)
     lowest, taken = costs.min(axis=0), costs[chosen.astype(int), np.arange(copies)]
     np.testing.assert_allclose(taken, lowest, rtol=1e-4)  # the rule is float32
