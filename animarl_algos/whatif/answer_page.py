@@ -51,9 +51,9 @@ WARNINGS = (
     "unchanged world in which an individual perceives what lies beyond the central 99.8 % of its "
     "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
     "answers were wrong in worlds with a known truth: it grows with the warning, with the "
-    "difference between habit and knowledge of a changed body, and of a condition with what the "
-    "recordings that were learned from show. A second simulator, whose animals perceive other "
-    "things, is asked the same: where both disagree beyond their intervals and their gaps, it "
+    "difference between habit and knowledge of a changed body and with that to a second simulator, "
+    "whose animals perceive other things, and of a condition with what the recordings that were "
+    "learned from show. Where both simulators disagree beyond their intervals and their gaps, it "
     "cannot be told from these recordings."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}

@@ -72,10 +72,10 @@ def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
     """Return ``low`` and ``high`` of a shift, widened as much as such answers have been wrong.
 
     By the warning, and by how much the answer differs from others: from the other reading of a
-    changed body, from a simulator with other inputs where both disagree, and, of a condition, from
-    the recordings that were learned from, which are known up to chance themselves.
+    changed body, from a simulator with other inputs, and, of a condition, from the recordings that
+    were learned from, which are known up to chance themselves.
     """
-    others = ["other_reading", "trained_shift", *["second_shift"] * disagrees(row)]
+    others = ("other_reading", "second_shift", "trained_shift")
     apart = [row.get(name, math.nan) - row["shift"] for name in others]
     apart = [one for one in (*apart, row.get("trained_margin", math.nan)) if np.isfinite(one)]
     factor = CALIBRATION[Caution(row["warning"])]

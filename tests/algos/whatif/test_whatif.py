@@ -588,7 +588,7 @@ def test_where_two_simulators_disagree_the_recordings_cannot_tell(chase: Run) ->
     assert low < -0.54 < -0.03 < high
     near = other | {"second_shift": -0.1, "second_low": -0.2, "second_high": 0.0}
     assert judge(row | near, of_a_cue=False) == "not clear of zero"
-    assert calibrated(row | near) == calibrated(row)
+    assert calibrated(row)[0] > calibrated(row | near)[0] > low
     # The same simulator twice says the same; a condition stands beside what was learned from.
     found = ask([chase], ["arena=x0.9", "condition=shared"], second=chase, separately=True)
     arena, cue = (answer.table.set_index("quantity") for answer in found.answers)
