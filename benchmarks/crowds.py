@@ -1,4 +1,4 @@
-"""What a step costs with many animals: 2, 10 and 50 pursuers, 25 to 200 animals without a target.
+"""What a step costs with many animals: 2 to 50 pursuers, 25 to 10,000 animals without a target.
 
     python benchmarks/crowds.py [--seconds 1.0]
 
@@ -28,7 +28,7 @@ from animarl_envs.worlds import make_world
 
 PURSUERS = (2, 10, 50)
 COPIES = (16, 256)
-ANIMALS, NEIGHBOURS = (25, 50, 100, 200), (0, 4, 8)
+ANIMALS, NEIGHBOURS = (25, 100, 400, 2_500, 10_000), (0, 4, 8)
 SINGLE_STEPS = 20  # of a repeat of one copy, between resets that are not timed
 
 
@@ -51,17 +51,20 @@ def main(seconds: Annotated[float, typer.Option(help="For each figure.")] = 1.0)
                 f"{1e9 / rate / animals:.1f}", f"{1e9 / rate / pairs:.1f}",
             )  # fmt: skip
     Console(width=110).print(table)
-    table = Table(title="Shoals, 16 copies, one thread: ns of processor time per animal and step")
-    table.add_column("animals", justify="right")
-    for seen in NEIGHBOURS:
-        table.add_column(f"{seen} neighbours", justify="right")
-    for animals in ANIMALS:
-        costs = []
+    for copies in (1, 16):
+        title = f"Shoals, copies: {copies}, one thread: ns of processor time per animal and step"
+        table = Table(title=title)
+        table.add_column("animals", justify="right")
         for seen in NEIGHBOURS:
-            step, between, steps = shoal(animals, seen)
-            costs.append(1e9 * quickest(step, between, seconds) / steps / animals)
-        table.add_row(f"{animals}", *(f"{cost:.0f}" for cost in costs))
-    Console(width=110).print(table)
+            table.add_column(f"{seen} neighbours", justify="right")
+        table.add_column("4, paid for company", justify="right")
+        for animals in ANIMALS if copies == 1 else ANIMALS[:3]:
+            costs = []
+            for seen, paid in [*((seen, False) for seen in NEIGHBOURS), (4, True)]:
+                step, between, steps = shoal(animals, seen, copies, shoaling_reward=paid)
+                costs.append(1e9 * quickest(step, between, seconds) / steps / animals)
+            table.add_row(f"{animals:,}", *(f"{cost:,.0f}" for cost in costs))
+        Console(width=110).print(table)
 
 
 Made = tuple[Callable[[], Any], Callable[[], Any], int]
@@ -110,13 +113,13 @@ def world(pursuers: int, copies: int) -> Made:
     return lambda: made.step(actions), lambda: None, copies
 
 
-def shoal(animals: int, neighbours: int, copies: int = 16) -> Made:
+def shoal(animals: int, neighbours: int, copies: int, **options: Any) -> Made:
     """Animals without a target, as dense as twelve in the shoal's tank, all of whom act."""
     size = float((animals / 12) ** 0.5)
     made = make_world(
         make_scenario(
             "shoal", demos=None, num_pursuers=animals, neighbours=neighbours, arena=size,
-            start_half_side=0.5 * size,
+            start_half_side=0.5 * size, **options,
         ),
         copies,
     )  # fmt: skip

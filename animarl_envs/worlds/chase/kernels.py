@@ -23,12 +23,14 @@ from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import ACTION, COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.cells import draw_step, follow_course
 from animarl_envs.worlds.chase.headings import turn_bodies
+from animarl_envs.worlds.chase.neighbours import copy_states, line_up
 from animarl_envs.worlds.chase.scripted import decide
 from animarl_envs.worlds.chase.senses import observe, remember
 from animarl_envs.worlds.streams import next_below, next_uniform
 
 SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
+PAIRED = 64  # free animals of which all pairs are compared; of more, those in reach along x
 WHOLE_DRAWS = 100  # of the first places of all, before only those in contact are moved
 
 # -- starting --------------------------------------------------------------------------------------
@@ -405,6 +407,8 @@ def _end(free, state):  # type: ignore[no-untyped-def]
             state.field,
             state.walled,
             state.shoaling,
+            state.velocity,
+            state.neighbours,
             state.contact_radius,
             state.dt,
             state.penalty,
@@ -492,21 +496,38 @@ def judge(  # type: ignore[no-untyped-def]
 
 @inline_kernel
 def judge_free(  # type: ignore[no-untyped-def]
-    position, field, walled, shoaling, contact_radius, dt, penalty, code, components, reward
+    position,
+    field,
+    walled,
+    shoaling,
+    velocity,
+    neighbours,
+    contact_radius,
+    dt,
+    penalty,
+    code,
+    components,
+    reward,
 ):
     """Judge free animals: leaving ends the episode and costs; time near another may pay."""
     K, _, B = position.shape
     shape, _, boundary = field
     for b in range(B):
         code[b] = TIME_OUT
+    pairs = shoaling and K <= PAIRED  # else those within reach along x are looked at
+    if shoaling and not pairs:
+        components[:, ELAPSED] = 0.0
+        copy_states(position, velocity, neighbours.state)
+        line_up(neighbours.state, neighbours.along)
+        _pay_near(neighbours.state, neighbours.along, contact_radius, dt, components)
     for i in range(K):
         for b in range(B):
             x = position[i, 0, b]
             y = position[i, 1, b]
             far = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
             out = not walled and shape in (SQUARE, DISC) and far > boundary
-            near = False
-            for j in range(K if shoaling else 0):
+            near = shoaling and not pairs and components[i, ELAPSED, b] > 0.0
+            for j in range(K if pairs else 0):
                 dx = position[j, 0, b] - x
                 dy = position[j, 1, b] - y
                 near |= j != i and dx * dx + dy * dy < contact_radius * contact_radius
@@ -514,3 +535,19 @@ def judge_free(  # type: ignore[no-untyped-def]
             components[i, BOUNDARY, b] = penalty if out else 0.0
             code[b] = PURSUER_OUT if out else code[b]
             reward[i, b] = components[i, ELAPSED, b] + components[i, BOUNDARY, b]
+
+
+@jit
+def _pay_near(state, along, reach, dt, components):  # type: ignore[no-untyped-def]
+    """Pay every free animal within ``reach`` of another; ``along`` has each copy's order by x."""
+    for b in range(state.shape[0]):
+        x, y, line = state[b, 0], state[b, 1], along[b, 0]
+        for place in range(len(line)):
+            i, at = line[place], place + 1
+            while at < len(line) and x[line[at]] - x[i] < reach:
+                j = line[at]
+                dx, dy = x[j] - x[i], y[j] - y[i]
+                if dx * dx + dy * dy < reach * reach:
+                    components[i, ELAPSED, b] = dt
+                    components[j, ELAPSED, b] = dt
+                at += 1

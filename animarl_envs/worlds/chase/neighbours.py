@@ -41,8 +41,9 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
         order = np.zeros((K, B, seen), dtype=np.int16)
         for i in range(K):
             order[i] = [j for j in range(seen + 1) if j != i][:seen]
-        along = np.broadcast_to(np.arange(K, dtype=np.int16), (B if seen else 0, 2, K)).copy()
-        state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((LINE, seen))
+        sorted_copies = B if seen or species.shoaling_reward else 0
+        along = np.broadcast_to(np.arange(K, dtype=np.int16), (sorted_copies, 2, K)).copy()
+        state, distance = np.zeros((sorted_copies, 4, K)), np.zeros((LINE, seen))
         return Neighbours(np.zeros((max(1, seen), INDEX + 1, B)), order, along, state, distance)
     along = np.zeros((0, 2, K), dtype=np.int16)
     others = np.zeros((K - 1, INDEX + 1, B))
@@ -60,11 +61,12 @@ def lay_out(position, velocity, observers, order, state):  # type: ignore[no-unt
     if order is None:
         return
     if order.shape[2] > 0 and observers.any():
-        _lay_out(position, velocity, state)
+        copy_states(position, velocity, state)
 
 
 @jit
-def _lay_out(position, velocity, state):  # type: ignore[no-untyped-def]
+def copy_states(position, velocity, state):  # type: ignore[no-untyped-def]
+    """Copy each copy's positions and velocities to one place."""
     K, _, B = position.shape
     for first in range(0, B, LINE):
         last = min(B, first + LINE)

@@ -15,6 +15,7 @@ from animarl_envs.fitting.tracking import track
 from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, observation_components
+from animarl_envs.worlds.chase.kernels import PAIRED
 from animarl_envs.worlds.chase.layout import DELAY, DELAYS
 
 
@@ -128,6 +129,12 @@ def test_a_shoal_may_be_paid_for_company() -> None:
     world = begun(scenario)
     world.step(np.full((1, 4), world.num_actions - 1))
     np.testing.assert_allclose(world.reward[0], [DT, DT, 0.0, 0.0])
+    many = begun(make_scenario("shoal", demos=None, num_pursuers=PAIRED + 1, shoaling_reward=True))
+    many.step(np.full((1, PAIRED + 1), many.num_actions - 1))
+    apart = np.linalg.norm(many.position[0] - many.position[0][:, None], axis=2)
+    near = (apart < 0.1).sum(axis=1) > 1
+    assert 0 < near.sum() <= PAIRED
+    np.testing.assert_array_equal(many.reward[0], np.where(near, 0.1, 0.0))
 
 
 def test_views_and_options_of_free_animals() -> None:
