@@ -158,5 +158,5 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
 
 
 def capitalised(text: str) -> str:
-    """Return the text with a capital at its start, and the rest as it is."""
-    return text[:1].upper() + text[1:]
+    """Return the text with a capital at its start, unless it is a change such as ``speed=x2``."""
+    return text if "=" in text else text[:1].upper() + text[1:]

@@ -182,7 +182,7 @@ def answer_page(result: WhatIf, command: str = "", versions: Mapping[str, str] =
         kind="What if?",
         synthetic=result.demos.synthetic,
         facts=[
-            ("Species", result.species.name),
+            ("Animals", inputs.animals),
             ("Starts", f"{len(result.demos)} test episodes"),
             ("Rollouts", rollouts_note(result)),
             ("Policies act by", "habit" if result.reading == "habit" else "knowing their bodies"),
