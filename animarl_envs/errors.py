@@ -26,6 +26,7 @@ EXTRA_MODULES = frozenset(
         "openpyxl",
         "optuna",
         "pandas",
+        "pooch",
         "pyarrow",
         "pygame",
         "pynwb",

@@ -308,8 +308,8 @@ def _columns_beside(answers: Sequence[Answer]) -> dict[str, Callable[[pd.Series]
         if "trained_shift" not in row:
             return ""
         shift, margin = row["trained_shift"], row["trained_margin"]
-        shown = Interval(shift, shift - margin, shift + margin)
-        return with_interval(scaled(shown, _factor(row)))
+        interval = Interval(shift, shift - margin, shift + margin)
+        return with_interval(scaled(interval, _factor(row)))
 
     known = {name for answer in answers for name in answer.table}
     columns = {"By other inputs": of_second} if "second_shift" in known else {}

@@ -119,7 +119,7 @@ def read_termites(path: Path, kind: str | None = None) -> list[Tracks]:
     """Male and female in mm; ``kind`` ``"Cf"`` or ``"Rs"`` takes one species."""
     rows, _ = read_rows(path.parent / "index.csv", {"key"})
     index = {row["key"]: row for _, row in rows}
-    found = []
+    tracks = []
     for key, array in read_npz(path).items():
         if kind and not key.startswith(kind):
             continue
@@ -132,7 +132,7 @@ def read_termites(path: Path, kind: str | None = None) -> list[Tracks]:
             raise InputError(f"{path.parent / 'index.csv'}: {key} has no scale: correct it")
         pixels = numbers(path, key, array, "frames", 4) / TERMITE_STEPS
         female, male = pixels[:, :2] * mm, pixels[:, 2:] * mm
-        found.append(
+        tracks.append(
             Tracks(
                 recording=key, individuals=("male", "female"),
                 positions=np.stack([male, female], axis=1)[:, :, None], frame_rate=30.0,
@@ -143,9 +143,9 @@ def read_termites(path: Path, kind: str | None = None) -> list[Tracks]:
                 },
             )
         )  # fmt: skip
-    if not found:
+    if not tracks:
         raise InputError(f"{path}: no recording of kind {kind!r}: choose Cf or Rs")
-    return found
+    return tracks
 
 
 @register_track_reader(
@@ -166,12 +166,12 @@ def read_termites(path: Path, kind: str | None = None) -> list[Tracks]:
 )  # fmt: skip
 def read_fly_groups(path: Path) -> list[Tracks]:
     """All flies of each recording; the arena is 120 units wide."""
-    found = []
+    tracks = []
     for key, array in read_npz(path).items():
         if not key.endswith("__xy"):
             continue
         positions = numbers(path, key, array, "frames", "flies", 2) / FLY_STEPS
-        found.append(
+        tracks.append(
             Tracks(
                 recording=key.removesuffix("__xy"),
                 individuals=tuple(f"fly_{i + 1}" for i in range(positions.shape[1])),
@@ -183,7 +183,7 @@ def read_fly_groups(path: Path) -> list[Tracks]:
                 },
             )
         )  # fmt: skip
-    return found
+    return tracks
 
 
 @register_track_reader(
@@ -202,16 +202,16 @@ def read_gray_bats(path: Path) -> list[Tracks]:
     )
     how = f"{'alone' if 'singletons' in path.stem else 'company'}_"
     how += "obstacles" if "obsref" in path.stem else "free"
-    found = []
+    tracks = []
     for bat in np.unique(table[:, 1]):
         own = table[table[:, 1] == bat]
         frame = (own[:, 0] - own[:, 0].min()).astype(int)
         positions = np.full((frame.max() + 1, 1, 1, 2), np.nan)
         positions[frame, 0, 0] = own[:, 2:4]
-        found.append(
+        tracks.append(
             Tracks(
                 recording=f"{how}_{bat:g}", individuals=("bat",), positions=positions,
                 frame_rate=BAT_RATE, unit="m",
             )
         )  # fmt: skip
-    return found
+    return tracks

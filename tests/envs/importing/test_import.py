@@ -326,7 +326,7 @@ def test_packaged_sets_are_known_by_name_where_no_such_file_is(tmp_path: Path) -
     said = animarl("data", "show", "agent")
     assert "SYNTHETIC" in said and "prey (target)" in said
     assert "predator_0" in animarl("fit", "agent", "--bootstrap", 0)
-    told = "no such file, and packaged are agent"
+    told = "no such file, packaged are agent.* and published sets are termites"
     refuses(told, animarl, "data", "show", tmp_path / "absent.npz")
 
 
