@@ -115,8 +115,13 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each quantity of a set: coverage, and errors beside the trivial answer's.
 
     ``covered`` is the share of splits in which the calibrated interval of the prediction and the
-    interval of the true shift, which is of few animals, hold one value.
+    interval of the true shift, which is of few animals, hold one value; ``strictly`` that in which
+    the calibrated interval holds the true shift itself, ``by the plain interval`` the plain one.
     """
+
+    def hold(some: pd.DataFrame, low: str, high: str) -> float:
+        return float(some["true"].between(some[low], some[high]).mean())
+
     rows = []
     for (name, quantity, unit), some in table.groupby(["set", "quantity", "unit"], sort=False):
         misses = [
@@ -131,6 +136,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             "error": (some["shift"] - some["true"]).abs().mean(),
             "error of the trivial answer": (some["trivial"] - some["true"]).abs().mean(),
             "covered": np.mean([not miss.excludes_zero for miss in misses]),
+            "strictly": hold(some, "calibrated_low", "calibrated_high"),
+            "by the plain interval": hold(some, "low", "high"),
         })  # fmt: skip
     return pd.DataFrame(rows)
 

@@ -62,7 +62,7 @@ def test_versions_are_fixed_in_the_constraints_alone() -> None:
     assert "torch==" not in (ROOT / "Makefile").read_text()
 
 
-BROUGHT = {"loguru": "movement", "pooch": "movement"}
+BROUGHT = {"loguru": "movement"}
 
 
 def test_modules_of_extras_are_of_their_packages() -> None:

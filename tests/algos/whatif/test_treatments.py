@@ -10,9 +10,11 @@ def test_treatments_table_counts_splits_whose_interval_holds_the_true_shift() ->
         "set": "termites", "quantity": "speed", "unit": "mm/s",
         "shift": [-3.0, -1.0], "true": [-2.0, -4.0], "trivial": [-2.5, -2.5],
         "calibrated_low": [-3.5, -2.0], "calibrated_high": [-1.0, 0.0],
+        "low": [-3.1, -1.1], "high": [-2.9, -0.9],
         "true_low": [-2.2, -4.5], "true_high": [-1.8, -3.5],
     })  # fmt: skip
     (found,) = summary(rows).to_dict("records")
     assert found["splits"] == 2 and found["error"] == 2.0
     assert found["error of the trivial answer"] == 1.0
-    assert found["covered"] == 0.5
+    assert found["covered"] == found["strictly"] == 0.5
+    assert found["by the plain interval"] == 0.0
