@@ -17,8 +17,9 @@ NOTES: dict[str, tuple[str, str]] = {
         "the one that you control; by default the first pursuer",
     ),
     "others": (
-        "`'replay'`, `'scripted'`, `'coast'`, a function from observations to actions, or a "
-        "mapping from names to these",
+        "`'replay'`, `'scripted'`, `'packaged'` (agents, flies, newts: "
+        "[trained opponents](../pretrained.md#trained-opponents)), `'coast'`, a function from "
+        "observations to actions, or a mapping from names to these",
         "how the others move; by default they replay their demonstration, or follow their script "
         "where there is none and in tasks",
     ),

@@ -5,6 +5,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 from operator import index
 from typing import Any
@@ -16,9 +17,14 @@ from numpy.typing import NDArray
 
 from animarl_envs.array_types import Ints
 from animarl_envs.drawing.render import RENDER_MODES, Pictures
-from animarl_envs.errors import InputError, MissingExtraError, also_list_options_of
+from animarl_envs.errors import (
+    InputError,
+    MissingExtraError,
+    also_list_options_of,
+    require_extra,
+)
 from animarl_envs.focus import first_pursuer
-from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
+from animarl_envs.scenario import DRIVERS, PACKAGED, Scenario, make_scenario
 from animarl_envs.settings import is_whole, plain
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.tasks import find_task
@@ -27,6 +33,9 @@ from animarl_envs.worlds.base import World
 
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
+
+OPPONENTS = ("animarl_algos.runs.opponents", "PackagedOpponents")
+"""Module and class of what drives others by packaged networks, loaded where it is asked for."""
 
 Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
 
@@ -131,21 +140,35 @@ class FocalView(View):
             if unknown:
                 raise InputError(f"others names {unknown[0]!r}: choose among {', '.join(rest)}")
             rules = dict.fromkeys(rest, usual) | dict(others)
-        drivers = list(scenario.drivers)
+        drivers, packaged = list(scenario.drivers), set[int]()
         self.focal_index, self._policies = names.index(focal), dict[int, PolicyFunction]()
         for name, rule in rules.items():
             i = names.index(name)
             if callable(rule):
                 self._policies[i] = rule
+            elif rule == PACKAGED:
+                packaged.add(i)
             elif rule in DRIVERS and rule != "action":
                 drivers[i] = rule
             else:
                 raise InputError(
-                    f"others gives {name} the rule {rule!r}: choose 'replay', 'scripted', 'coast' "
-                    "or a function from observations to actions"
+                    f"others gives {name} the rule {rule!r}: choose 'replay', 'scripted', "
+                    "'packaged', 'coast' or a function from observations to actions"
                 )
         scenario = replace(scenario, drivers=tuple(drivers))
+        self._opponents: Any = None
+        if packaged:
+            with require_extra("others='packaged'", "algos"):
+                opponents = getattr(import_module(OPPONENTS[0]), OPPONENTS[1])
+            self._opponents = opponents(scenario, num_copies, packaged)
         self._build(scenario, num_copies, render_mode, {self.focal_index, *self._policies})
+
+    def _drive_others(self) -> None:
+        """Write the next actions of individuals that policies or packaged networks drive."""
+        for i, policy in self._policies.items():
+            self._actions[:, i] = np.asarray(policy(self.world.observation[:, i].copy()))
+        if self._opponents is not None:
+            self._opponents.act(self.world, self._actions)
 
     @property
     def time_limit(self) -> int:

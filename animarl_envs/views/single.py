@@ -40,8 +40,10 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
     focal
         Name of the individual that acts; by default the first pursuer.
     others
-        ``"replay"`` (their demonstration; they coast when it ends), ``"scripted"``, ``"coast"``, a
-        function from observations ``(B, n)`` to actions ``(B,)``, or a mapping from names to these.
+        ``"replay"`` (their demonstration; they coast when it ends), ``"scripted"``, ``"packaged"``
+        (the network that comes with the package: :mod:`animarl_algos.runs.opponents`), ``"coast"``,
+        a function from observations ``(B, n)`` to actions ``(B,)``, or a mapping from names to
+        these.
         By default they replay where episodes start from demonstrations, and follow their script
         otherwise; in a task they always follow their script.
     render_mode
@@ -125,8 +127,7 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         world, i = self.world, self.focal_index
         warming = world.warming.item()
         self._actions[0, i] = action
-        for j, policy in self._policies.items():
-            self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
+        self._drive_others()
         done = self.world.executed(self._actions).item(0, i) if warming else action
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()

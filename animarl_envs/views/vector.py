@@ -158,8 +158,6 @@ class AnimalVectorEnv(  # type: ignore[misc]
             raise InputError("step was called before reset: call reset first")
         world, i = self.world, self.focal_index
         self._actions[:, i] = common.check_actions(actions, (self.num_envs,), world.num_actions)
-        for j, policy in self._policies.items():
-            self._actions[:, j] = np.asarray(policy(world.observation[:, j].copy()))
         due = self._ended.copy()  # copies to reset instead of stepping them
         resetting = np.count_nonzero(due) > 0
         if resetting:
@@ -169,6 +167,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
                     "reset(options={'reset_mask': ...}) before the next step"
                 )
             streams = world.random_state[due]
+        self._drive_others()
         warming, executed = world.warming.copy(), self.world.executed(self._actions)[:, i].copy()
         world.step(self._actions, observed=not resetting)
         self.reset_by_step = due

@@ -62,6 +62,14 @@ def seed_streams(seeds, state):  # type: ignore[no-untyped-def]
         state[b] = mix(seeds[b] + _GOLDEN)
 
 
+@jit
+def draw_uniforms(state, numbers):  # type: ignore[no-untyped-def]
+    """Fill ``numbers`` ``(B, n)`` with uniform numbers in [0, 1), row ``b`` from stream ``b``."""
+    for b in range(numbers.shape[0]):
+        for i in range(numbers.shape[1]):
+            numbers[b, i] = next_uniform(state, b)
+
+
 _MOST = 9.0  # tanh beyond it is 1 in float32
 _SQUARINGS = 6  # exp(z) = exp(z / 64)^64, and exp(z / 64) is a short series
 _ONE_BITS, _FRACTION, _SHIFT, _BIAS = (

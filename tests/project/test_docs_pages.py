@@ -46,6 +46,13 @@ def test_pages_are_up_to_date(generator):
         assert written[name] == text, f"run python docs/make_env_pages.py --text-only ({name})"
 
 
+@pytest.mark.parametrize(("score", "word"), [("0.35", "met"), ("0.36", "missed")])
+def test_the_aim_for_the_best_constant_action(generator, score, word):
+    policies = {"random": "0.00", "constant 1 of 13": score, "PPO": "1.00"}
+    rows = [["`Task`", policy, "", "1.0", "", earned, "1"] for policy, earned in policies.items()]
+    assert f"at most 0.35: {score}, {word}" in generator.bars(rows)[0]
+
+
 @pytest.mark.parametrize("name", SPECIES)
 def test_options_of_the_page_are_those_that_are_accepted(generator, name):
     species = SPECIES[name]

@@ -9,6 +9,8 @@ many others, whoever pursues. Of free animals each has its own course for its fo
 nearest few others, and only leaving ends an episode.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from typing import Any
 
@@ -161,6 +163,12 @@ class ChaseWorld(World):
     def _look(self) -> None:
         """Observe the present state, by the kernel of a step: there is one to compile."""
         kernels.advance(np.zeros((0, 0), dtype=np.int64), False, True, self._reference)
+
+    def look_at(self, world: ChaseWorld) -> None:
+        """Observe the present state of a world that differs from this one in observations alone."""
+        for name in set(self._state_names) - {"sensed"}:
+            getattr(self, name)[...] = getattr(world, name)
+        self._look()
 
     def _wake(self, mask: Bools) -> None:
         """Set the first headings of new episodes."""
