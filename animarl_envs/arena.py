@@ -1,7 +1,8 @@
 """Where animals move: the recorded field, its walls, or the virtual boundary around it."""
 
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.array_types import Bools
 from animarl_envs.errors import InputError
-from animarl_envs.settings import Positive, PositiveOrInfinite, check_fields
+from animarl_envs.settings import NotNegative, Positive, PositiveOrInfinite, check_fields
 
 ArenaShape = Literal["square", "disc", "open"]
 SHAPE_CODES: dict[str, int] = {"square": 0, "disc": 1, "open": 2}
@@ -34,12 +35,16 @@ class Arena:
         ``True``: the field has walls. An individual is held at ``size`` and loses the velocity
         into the wall, while it slides along it freely; nobody ever is out of bounds. Never in an
         open field.
+    inner
+        Radius of the hole in the middle of a disc, which makes it a ring; 0 for none. The hole has
+        walls where the field has; else it ends the episode from ``inner * size / boundary`` on.
     """
 
     shape: ArenaShape = "square"
     size: Positive = 1.0  # [arena unit]
     boundary: PositiveOrInfinite = 1.1  # [arena unit]
     rebound: bool = False
+    inner: NotNegative = 0.0  # [arena unit]
 
     def __post_init__(self) -> None:
         check_fields(self, "arena ")
@@ -51,11 +56,31 @@ class Arena:
                 f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
                 "choose a boundary at least as large as the size"
             )
+        if self.inner and (self.shape != "disc" or self.inner >= self.size):
+            raise InputError(
+                f"arena inner is {self.inner} in a {self.shape} of size {self.size}: only a disc "
+                "has a hole, and its radius is below the disc's"
+            )
 
     @property
     def edge(self) -> float:
         """How far out an individual may be: the walls, or without them the boundary."""
         return self.size if self.rebound else self.boundary
+
+    @property
+    def hole(self) -> float:
+        """How near to the middle of a ring an individual may come."""
+        return self.inner * self.size / self.edge
+
+    @property
+    def field(self) -> tuple[int, float, float, float]:
+        """The shape's code, size, boundary and hole, as kernels take them."""
+        return SHAPE_CODES[self.shape], float(self.size), float(self.boundary), float(self.hole)
+
+    def scaled(self, size: float) -> "Arena":
+        """Return the arena with another size; its boundary and hole keep their shares of it."""
+        boundary, inner = self.boundary / self.size, self.inner / self.size
+        return replace(self, size=size, boundary=size * boundary, inner=size * inner)
 
     def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> Bools:
         """Return whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
@@ -65,4 +90,16 @@ class Arena:
             extent = np.hypot(positions[..., 0], positions[..., 1])
         else:
             extent = np.abs(positions).max(axis=-1)
-        return np.asarray(extent <= self.edge + margin)
+        return np.asarray((extent <= self.edge + margin) & (extent >= self.hole - margin))
+
+
+def parse_shape(text: str) -> tuple[str, float]:
+    """Return shape and share of the hole's radius: ``"ring=0.6"`` is a disc with a hole of 0.6."""
+    if text in SHAPE_CODES:
+        return text, 0.0
+    if ring := re.fullmatch(r"ring=(\d*\.?\d+)", text):
+        return "disc", float(ring[1])
+    raise InputError(
+        f"arena is {text!r}: choose square, disc, open, or a ring with the radius of its hole as "
+        "a share of its own, such as ring=0.6"
+    )

@@ -64,9 +64,10 @@ def turn_between(before, after):  # type: ignore[no-untyped-def]
 def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
     """Hold individuals at the walls: the velocity into the wall is lost, that along it kept.
 
-    Positions and velocities are ``(K, 2, B)``; ``field`` is ``(shape code, size, boundary)``.
+    Positions and velocities are ``(K, 2, B)``; ``field`` is that of an
+    :class:`~animarl_envs.arena.Arena`, whose hole nobody enters.
     """
-    shape, size, _ = field
+    shape, size, _, hole = field
     K, _, B = position.shape
     for i in range(K):
         if shape == SQUARE:
@@ -80,29 +81,32 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
                     velocity[i, x, b] = 0.0 if into else v
         elif shape == DISC:
             for begin in range(0, B, TOGETHER):
-                end, farthest = min(B, begin + TOGETHER), 0.0
+                end, farthest, nearest = min(B, begin + TOGETHER), 0.0, size * size
                 for b in range(begin, end):
                     x = position[i, 0, b]
                     y = position[i, 1, b]
                     farthest = max(farthest, x * x + y * y)
-                if farthest > size * size * (1.0 - 1e-9):
-                    _hold_within(i, begin, end, size, position, velocity)
+                    nearest = min(nearest, x * x + y * y)
+                if farthest > size * size * (1.0 - 1e-9) or nearest < hole * hole:
+                    _hold_between(i, begin, end, hole, size, position, velocity)
 
 
 @inline_kernel
-def _hold_within(i, begin, end, radius, position, velocity):  # type: ignore[no-untyped-def]
-    """Hold individual ``i`` in a disc; without a branch, so that divisions are vectorised."""
+def _hold_between(i, begin, end, inner, radius, position, velocity):  # type: ignore[no-untyped-def]
+    """Hold individual ``i`` in a ring; without a branch, so that divisions are vectorised."""
     for b in range(begin, end):
         x = position[i, 0, b]
         y = position[i, 1, b]
         out = math.sqrt(x * x + y * y)
-        beyond = out > radius
-        # a hair inside, so that rounding does not leave it outside
-        whole, hair = (out, 1.0 - 1e-12) if beyond else (1.0, 1.0)
-        back = (radius if beyond else 1.0) / whole * hair
-        nx = (x if beyond else 0.0) / whole
-        ny = (y if beyond else 0.0) / whole
-        into = max(0.0, velocity[i, 0, b] * nx + velocity[i, 1, b] * ny)
+        beyond, within = out > radius, out < inner
+        held = beyond | within
+        # a hair inside the field, so that rounding does not leave it outside
+        whole, hair = (max(out, 1e-300) if held else 1.0), (1.0 - 1e-12 if beyond else 1.0 + 1e-12)
+        back = (radius if beyond else inner) / whole * hair if held else 1.0
+        nx = (x if held else 0.0) / whole
+        ny = (y if held else 0.0) / whole
+        outwards = velocity[i, 0, b] * nx + velocity[i, 1, b] * ny
+        into = min(0.0, outwards) if within else max(0.0, outwards)
         position[i, 0, b] = back * x
         position[i, 1, b] = back * y
         velocity[i, 0, b] -= into * nx

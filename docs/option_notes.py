@@ -40,7 +40,8 @@ NOTES: dict[str, tuple[str, str]] = {
     "observation_noise": (NOT_NEGATIVE, "standard deviation of noise on every component"),
     "observation_delay": ("a whole number of steps", "how old the returned observation is"),
     "arena": (
-        "an `Arena`, its fields by name, `'square'`, `'disc'`, `'open'`, or a size",
+        "an `Arena`, its fields by name, `'square'`, `'disc'`, `'open'`, `'ring=0.6'` (a disc with "
+        "a hole of .6 of its radius), or a size",
         "shape and size of the field; the boundary and the square of starts grow with a size",
     ),
     "boundary": (

@@ -137,7 +137,7 @@ def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
         "unit": _unit_name(demos) == "px" and "--px-per-cm NUMBER gives cm",
         "arena": not scaling.get("width")
         and not scaling.get("units_per_arena_unit")
-        and "--arena square, disc or open, --arena-width LENGTH",
+        and "--arena square, disc, open or ring=0.6, --arena-width LENGTH",
         "split": recipe.get("splitting", {}).get("by") == "auto" and "--split-by",
     }
     rate = f"{describe_frame_rate(demos)}; an animal decides anew every {demos.dt:.4g} s"
@@ -215,13 +215,16 @@ def describe_ground(demos: Demonstrations) -> list[str]:
     from_middle = points - (points.min(axis=0) + points.max(axis=0)) / 2
     inner, outer = np.quantile(np.linalg.norm(from_middle, axis=1), (0.01, 0.99))
     angles = np.arctan2(from_middle[:, 1], from_middle[:, 0])
-    if inner > RING * outer and np.histogram(angles, SECTORS, (-math.pi, math.pi))[0].all():
+    length = np.linalg.norm(from_middle, axis=1)
+    around = np.histogram(angles, SECTORS, (-math.pi, math.pi))[0].all()
+    if inner > RING * outer and around and not demos.arena.inner:
+        share = math.floor(100 * inner / length.max()) / 100
         inner, outer = unit.per_arena_unit * inner, unit.per_arena_unit * outer
         return [
             f"the tracks keep to a ring, {inner:.3g} to {outer:.3g} {unit.name} from its middle: "
-            "simulated animals have the whole arena, and may cross the middle"
+            f"if nobody can enter its hole, give --arena ring={share:g}; simulated animals may "
+            "cross the middle otherwise"
         ]
-    length = np.linalg.norm(from_middle, axis=1)
     wide = np.ptp(points, axis=0) / 2
     outside = from_middle[length > NEAR_RIM * wide.mean()]
     sectors = np.histogram(np.arctan2(*outside.T), SECTORS, (-math.pi, math.pi))[0]
@@ -286,7 +289,7 @@ def describe_frame_rate(demos: Demonstrations) -> str:
 def _arena(demos: Demonstrations) -> str:
     arena, sizes = demos.arena, sorted(_unit_sizes(demos))
     words = {"square": "square, half side 1", "disc": "disc, radius 1", "open": "open field"}
-    text = words[arena.shape]
+    text = words[arena.shape] + (f" around a hole of {arena.inner:g}" if arena.inner else "")
     if math.isfinite(arena.boundary):
         text += f", boundary {arena.boundary:g}"
     if sizes:
@@ -464,7 +467,7 @@ def automatic_decisions(demos: Demonstrations) -> list[str]:
         sentences.append(
             f"{100 * beyond:.1f} % of the frames of an animal lie clearly beyond the arena's edge, "
             "so no wall stands there, and leaving the boundary ends a simulated episode: "
-            "otherwise give a wider --arena-width"
+            f"otherwise give a {'smaller hole' if demos.arena.inner else 'wider --arena-width'}"
         )
     if lost := demos.provenance.get("lost"):
         marks = ", ".join(f"{place} ({counted(n, 'point')})" for place, n in lost.items())

@@ -170,7 +170,7 @@ def _held(position: Floats, heading: Floats, arena: Arena) -> tuple[Floats, Floa
     if arena.shape == "square":
         inside = np.clip(position, -arena.size, arena.size)
     else:
-        radius = np.linalg.norm(position, axis=-1, keepdims=True)
-        inside = position * np.minimum(1.0, arena.size / np.maximum(radius, 1e-12))
+        radius = np.maximum(np.linalg.norm(position, axis=-1, keepdims=True), 1e-12)
+        inside = position * np.maximum(np.minimum(1.0, arena.size / radius), arena.inner / radius)
     met = (inside != position).any(axis=-1)
     return inside, np.where(met, heading + np.pi, heading)

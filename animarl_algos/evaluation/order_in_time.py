@@ -304,11 +304,14 @@ def _places(series: Series, arena: Arena, searching: bool) -> Iterator[tuple[str
 
 
 def distance_to_edge(points: Floats, arena: Arena) -> Floats:
-    """Distance to the edge of the field, or to the origin of an open one."""
+    """Return the distance to the nearest edge of the field, or to the origin of an open one."""
     if arena.shape == "square":
         return np.asarray(arena.size - np.abs(points).max(axis=-1))
     radius = np.linalg.norm(points, axis=-1)
-    return np.asarray(radius if arena.shape == "open" else arena.size - radius)
+    if arena.shape == "open":
+        return np.asarray(radius)
+    outer = arena.size - radius
+    return np.asarray(np.minimum(outer, radius - arena.inner) if arena.inner else outer)
 
 
 def _mean(series: Floats, axis: int = 1) -> Floats:

@@ -356,6 +356,8 @@ def draw_paths(
         )
     elif arena.shape == "disc":
         panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
+        if arena.inner:
+            panel.add_patch(Circle((0.0, 0.0), arena.inner, **outline | {"facecolor": "none"}))
     if "searcher" in roles:
         panel.plot(0.0, 0.0, "x", color=style.TARGET.hex, markersize=6, markeredgewidth=1.5)
     ground = style.PAGE.hex

@@ -92,7 +92,12 @@ def _world(stage: Stage) -> dict[str, Any]:
     """Return what is drawn besides the paths, as plain data."""
     arena, names = stage.arena, {colour.hex: colour.name for colour in style.COLOURS}
     return {
-        "arena": {"shape": arena.shape, "size": arena.size, "walls": arena.rebound},
+        "arena": {
+            "shape": arena.shape,
+            "size": arena.size,
+            "walls": arena.rebound,
+            "inner": arena.inner,
+        },
         "contact": stage.contact_radius,
         "individuals": [
             {"name": name, "role": role, "colour": names[look.colour], "mark": look.marker}

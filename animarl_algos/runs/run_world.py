@@ -62,7 +62,8 @@ def world_in_words(species: Species) -> dict[str, str]:
     """Return what decides how episodes go in a world, to print: name and value."""
     arena = species.arena
     edge = "walls" if arena.rebound else f"out of bounds beyond {arena.boundary:g}"
-    field = arena.shape if arena.shape == "open" else f"{arena.shape}, {arena.size:g}, {edge}"
+    shape = f"ring around a hole of {arena.inner:g}" if arena.inner else arena.shape
+    field = shape if shape == "open" else f"{shape}, {arena.size:g}, {edge}"
     return {
         "individuals": ", ".join(species.individuals),
         "arena": field,

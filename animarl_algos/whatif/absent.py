@@ -151,7 +151,9 @@ class FewerWorld(ChaseWorld):
         self._own = list(present.own)
         self._absent = [i for i in range(number) if i not in self._own]
         still = Scenario(
-            species=present.everybody, start=np.zeros((number, 2)), drivers=("action",) * number
+            species=present.everybody,
+            start=np.full((number, 2), (present.everybody.arena.size, 0.0)),
+            drivers=("action",) * number,
         )
         self._everybody = ChaseWorld(still, num_copies, self._own)
 

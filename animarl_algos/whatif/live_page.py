@@ -129,7 +129,9 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         **{name: getattr(species, name) for name in SPECIES_FIELDS},
         "synthetic": run.demos.synthetic,
         "unit": asdict(unit),
-        "arena": asdict(arena) | ({"boundary": None} if arena.shape == "open" else {}),
+        "arena": asdict(arena)
+        | {"hole": arena.hole / arena.size}
+        | ({"boundary": None} if arena.shape == "open" else {}),
         "lone": isinstance(species, ChaseSpecies) and species.lone_pursuer,
         "free": is_free(species.roles),
         "absent": {

@@ -260,7 +260,8 @@ class Demonstrations(Episodes):
     def fingerprint(self) -> str:
         """Return a hash of the content, without the provenance: 16 hexadecimal digits."""
         digest = hashlib.sha256()
-        head = [self.species, self.individuals, self.roles, self.dt, vars(self.arena)]
+        arena = {key: value for key, value in vars(self.arena).items() if key != "inner" or value}
+        head = [self.species, self.individuals, self.roles, self.dt, arena]
         digest.update(json.dumps(head, sort_keys=True).encode())
         for key in ("positions", "lengths", "initial_velocity", "condition", "outcome"):
             digest.update(np.ascontiguousarray(getattr(self, key)).tobytes())
@@ -327,7 +328,8 @@ class Demonstrations(Episodes):
             self._refuse(
                 f"{self._place(*place)}: the position is not a number: fill the gap or cut it out",
             )
-        outside = ~self.arena.contains(self.positions, margin=self.OUTSIDE_MARGIN)
+        whole = replace(self.arena, inner=0.0)  # tracks may cross the hole of a ring
+        outside = ~whole.contains(self.positions, margin=self.OUTSIDE_MARGIN)
         for place in np.argwhere(outside)[:1]:
             x, y = self.positions[tuple(place)]
             self._refuse(

@@ -239,6 +239,10 @@ class Renderer:
         line, colours = self._width(LINE_WIDTH), [palette.OUTLINE] * len(edge)
         if arena.shape == "disc":
             self._disc(self._at(np.zeros(2)), arena.size * self._scale, palette.OUTLINE, line)
+            if arena.inner:
+                hole = self._at(np.zeros(2)), arena.inner * self._scale
+                self._disc(*hole, palette.BACKGROUND)
+                self._disc(*hole, palette.OUTLINE, line)
         else:
             self._path(np.concatenate([edge, edge[:1]]), colours, line)
 

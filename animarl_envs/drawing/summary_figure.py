@@ -99,6 +99,9 @@ def _draw_recordings(
     for axes, name in zip(panels, names, strict=False):
         own = np.flatnonzero((demos.recording == name) & (demos.condition == condition))
         axes.plot(*edge, color="0.8", lw=0.8)
+        if demos.arena.inner:
+            hole = demos.arena.inner / demos.arena.size * np.asarray(edge)
+            axes.plot(*hole, color="0.8", lw=0.8)
         if "searcher" in demos.roles:
             axes.plot(0, 0, "*", color=palette.to_hex(palette.PLUME), ms=8)
         _draw_tracks(axes, demos, unit, own)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animarl_envs.arena import SHAPE_CODES, Arena
+from animarl_envs.arena import Arena
 from animarl_envs.array_types import Floats, Ints
 from animarl_envs.cells import COURSE_TIME, CellLocomotion
 from animarl_envs.compiling import jit
@@ -64,7 +64,6 @@ def track(
     arena = demos.arena if arena is None else arena
     if isinstance(locomotion[0], CellLocomotion):
         return _track_by_cells(demos, locomotion, arena, horizon)
-    field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
     recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
     starts = demos.offsets.astype(np.int64)
     position_now, velocity_now = (
@@ -96,7 +95,7 @@ def track(
             course,
         )
         if arena.rebound:
-            rebound(field, position_now, velocity_now)
+            rebound(arena.field, position_now, velocity_now)
     return Tracking(paths, speeds, actions)
 
 
@@ -105,7 +104,6 @@ def _track_by_cells(
 ) -> Tracking:
     """Return :func:`track` of individuals whose actions are cells; draws are seeded with 0."""
     rng, dt = np.random.default_rng(0), demos.dt
-    field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
     recorded, recorded_velocity = demos.positions, demos.velocities()
     paths, speeds = recorded.copy(), recorded_velocity.copy()
     actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
@@ -133,7 +131,7 @@ def _track_by_cells(
         position = paths[now] + velocity * dt
         if arena.rebound:
             held = [np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (position, velocity)]
-            rebound(field, *held)
+            rebound(arena.field, *held)
             position, velocity = (each.transpose(2, 0, 1) for each in held)
         paths[now + 1], speeds[now + 1] = position, velocity
         course[going] += max(share, 1.0 / (2.0 + t)) * (velocity - course[going])

@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.arena import Arena
+from animarl_envs.arena import Arena, parse_shape
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.demos.episode import FILLED, HEADING
 from animarl_envs.errors import InputError, require, require_extra
@@ -290,8 +290,11 @@ def resample(
 class Scaling(Checked):
     """How positions become arena units."""
 
-    shape: Literal["square", "disc", "open"] = option(
-        "square", "arena", "square (half side 1), disc (radius 1) or open (no edge)."
+    shape: str = option(
+        "square",
+        "arena",
+        "square (half side 1), disc (radius 1), open (no edge) or ring=0.6 (a disc with a hole of "
+        "that radius, which nobody enters).",
     )
     width: Positive | None = option(
         None,
@@ -324,11 +327,13 @@ class Scaling(Checked):
         if self.centre is not None:
             require(len(self.centre) == 2, f"centre is {self.centre}: give x and y")
             object.__setattr__(self, "centre", (float(self.centre[0]), float(self.centre[1])))
+        self.arena  # noqa: B018  # is checked
 
     @property
     def arena(self) -> Arena:
         """The arena in arena units."""
-        return Arena(self.shape, size=1.0, boundary=self.boundary)
+        shape, inner = parse_shape(self.shape)
+        return Arena(shape, size=1.0, boundary=self.boundary, inner=inner)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -400,7 +405,7 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
         half = settings.units_per_arena_unit
     elif settings.width is not None:
         half = settings.width / 2
-    elif settings.shape == "disc":
+    elif settings.arena.shape == "disc":
         half = float(np.linalg.norm(points - np.array(centre), axis=1).max())
     else:
         half = float(np.abs(points - np.array(centre)).max())

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any, get_args
 
-from animarl_envs.arena import Arena
+from animarl_envs.arena import Arena, parse_shape
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.settings import is_number, is_whole
@@ -150,17 +150,17 @@ def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
         unknown = set(given) - {f.name for f in fields(Arena)}
         if unknown:
             raise InputError(
-                f"arena has no {sorted(map(str, unknown))[0]!r}: give shape, size, boundary or "
-                "rebound"
+                f"arena has no {sorted(map(str, unknown))[0]!r}: give shape, size, boundary, "
+                "rebound or inner"
             )
         given = replace(arena, **given)
     if isinstance(given, Arena):
         arena = given
     elif isinstance(given, str):
-        arena = replace(arena, shape=given)  # type: ignore[arg-type]
+        shape, share = parse_shape(given)
+        arena = replace(arena, shape=shape, inner=share * arena.size)  # type: ignore[arg-type]
     elif is_number(given):
-        margin = arena.boundary / arena.size
-        arena = replace(arena, size=float(given), boundary=float(given) * margin)
+        arena = arena.scaled(float(given))
     elif given is not None:
         raise InputError(f"arena is {given!r}: give an Arena, a shape or a size")
     if arena.shape == "open" and (changes.get("rebound") or "boundary" in changes):

@@ -136,12 +136,12 @@ SIZE = 2.0
 
 
 def held(
-    shape: int, position: ArrayLike, velocity: ArrayLike
+    shape: int, position: ArrayLike, velocity: ArrayLike, hole: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """What walls make of positions and velocities ``(individuals, copies, 2)``."""
     given = (np.array(a, dtype=np.float64).transpose(0, 2, 1).copy() for a in (position, velocity))
     places, speeds = given
-    rebound((shape, SIZE, 9.0), places, speeds)
+    rebound((shape, SIZE, 9.0, hole), places, speeds)
     return places.transpose(0, 2, 1), speeds.transpose(0, 2, 1)
 
 
@@ -189,10 +189,24 @@ def test_a_round_wall_takes_the_outward_velocity_alone() -> None:
     )
 
 
-def test_nobody_held_by_a_round_wall_counts_as_beyond_it() -> None:
+def test_the_hole_of_a_ring_takes_the_inward_velocity_alone() -> None:
+    """Of three, the first two in the hole (radius 1) and the last one between the walls."""
+    out, along = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    velocity = [[-3.0 * out + 2.0 * along, 3.0 * out + 2.0 * along, -1.0 * out]]
+    places, speeds = held(DISC, [[0.5 * out, 0.1 * out, 1.5 * out]], velocity, hole=1.0)
+    np.testing.assert_allclose(places[0], [out, out, 1.5 * out], rtol=1e-9)
+    np.testing.assert_allclose(
+        speeds[0], [2.0 * along, 3.0 * out + 2.0 * along, -1.0 * out], atol=1e-12
+    )
+    middle = held(DISC, [[[0.0, 0.0]]], [[[1.0, 0.0]]], hole=1.0)  # it has no way out to take
+    assert np.isfinite(middle).all()
+
+
+@pytest.mark.parametrize("at, hole", [(2.0000001, 0.0), (0.9999999, 1.0)])
+def test_nobody_held_by_a_round_wall_counts_as_beyond_it(at: float, hole: float) -> None:
     angle = np.linspace(0, 2 * np.pi, 500)
-    outside = 2.0000001 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[None]
-    places, _ = held(DISC, outside, np.zeros_like(outside))
+    outside = at * np.stack([np.cos(angle), np.sin(angle)], axis=-1)[None]
+    places, _ = held(DISC, outside, np.zeros_like(outside), hole)
     radius = np.hypot(places[..., 0], places[..., 1])
-    assert (radius <= 2.0).all()
-    np.testing.assert_allclose(radius, 2.0, rtol=1e-9)
+    assert (radius <= 2.0).all() and (radius >= hole).all()
+    np.testing.assert_allclose(radius, hole or 2.0, rtol=1e-9)

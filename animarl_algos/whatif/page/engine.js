@@ -387,6 +387,7 @@ const AnimaRL = (() => {
       const scales = (this.scales = past.length + 2 * memory.length + delays.length / 2);
       this.boundary = options.boundary;
       this.edge = model.arena.rebound ? this.size : this.boundary;
+      this.hole = model.arena.hole * this.size;
       this.past = new Float64Array(copies * scales * K * 2);
       this.towards = new Float64Array(copies * K * 2);
       this.before = new Float64Array(K * 2);
@@ -503,9 +504,11 @@ const AnimaRL = (() => {
         }
       } else if (this.model.arena.shape === "disc") {
         const x = position[own], y = position[own + 1], radius = Math.sqrt(x * x + y * y);
-        if (radius <= size) return;
-        const back = (size / radius) * (1 - 1e-12), nx = x / radius, ny = y / radius;
-        const into = Math.max(0, velocity[own] * nx + velocity[own + 1] * ny);
+        const within = radius < this.hole, whole = Math.max(radius, 1e-300);
+        if (radius <= size && !within) return;
+        const back = within ? (this.hole / whole) * (1 + 1e-12) : (size / whole) * (1 - 1e-12);
+        const nx = x / whole, ny = y / whole, outwards = velocity[own] * nx + velocity[own + 1] * ny;
+        const into = within ? Math.min(0, outwards) : Math.max(0, outwards);
         position[own] = back * x;
         position[own + 1] = back * y;
         velocity[own] -= into * nx;
@@ -530,7 +533,7 @@ const AnimaRL = (() => {
         if (this.absent[i]) continue;
         const out = arena.shape === "square"
           ? Math.max(Math.abs(x), Math.abs(y)) > this.boundary
-          : x * x + y * y > this.boundary * this.boundary;
+          : x * x + y * y > this.boundary * this.boundary || x * x + y * y < this.hole * this.hole;
         if (out) return (i === last) !== lone && !this.model.free ? TARGET_OUT : PURSUER_OUT;
       }
       return TIME_OUT;
@@ -657,7 +660,8 @@ const AnimaRL = (() => {
           far = radius;
           [nx, ny] = radius > 0 ? [x / radius, y / radius] : [ex, ey];
         }
-        const near = this.edge - far;
+        let near = this.edge - far;
+        if (this.hole > 0 && far - this.hole < near) [near, nx, ny] = [far - this.hole, -nx, -ny];
         out[column(0, "AT_WALL")] = squash(near / senses.scales[0]);
         out[column(0, "BY_WALL")] = squash(near / senses.scales[1]);
         pair(column(0, "WALL_CIRCLE"), nx * ex + ny * ey, ny * ex - nx * ey);

@@ -123,8 +123,10 @@ const Measures = (() => {
     else if (shape === "open") m["distance from the start"] = mean(place.map(([x, y]) => Math.hypot(x - place[0][0], y - place[0][1])));
     else {
       const far = shape === "disc" ? radius : place.map(([x, y]) => Math.max(Math.abs(x), Math.abs(y)));
-      m["distance from the wall"] = options.arena - mean(far);
-      m["share at the wall"] = mean(far.map((value) => +(options.arena - value < NEAR_WALL * options.arena)));
+      const inner = (model.arena.inner / model.arena.size) * options.arena;
+      const wall = far.map((out) => Math.min(options.arena - out, inner > 0 ? out - inner : Infinity));
+      m["distance from the wall"] = mean(wall);
+      m["share at the wall"] = mean(wall.map((value) => +(value < NEAR_WALL * options.arena)));
     }
     return m;
   }
@@ -199,8 +201,12 @@ const Measures = (() => {
     found["slow steps"] = mean(all.flatMap((one) => one.speed.map((value) => +(value < measuring.slow[one.i]))));
     found.turning = mean(all.map((one) => one.angle.reduce((sum, value) => sum + Math.abs(value), 0))) / seconds;
     found["occupancy distance"] = occupancy(all, start, measuring);
-    const edge = (arena.rebound ? options.arena : options.boundary) + (measuring.grid ? measuring.grid.reach : 0);
-    const outside = ([x, y]) => (arena.shape === "disc" ? Math.hypot(x, y) : Math.max(Math.abs(x), Math.abs(y))) > edge;
+    const margin = measuring.grid ? measuring.grid.reach : 0, hole = arena.hole * options.arena - margin;
+    const edge = (arena.rebound ? options.arena : options.boundary) + margin;
+    const outside = ([x, y]) => {
+      const far = arena.shape === "disc" ? Math.hypot(x, y) : Math.max(Math.abs(x), Math.abs(y));
+      return far > edge || far < hole;
+    };
     const left = outcome === -1 || outcome === -2;
     found["somebody outside the arena"] = +(left || (arena.shape !== "open" && all.some((one) => one.place.some(outside))));
     found["ended by the target leaving"] = +(outcome === -1);

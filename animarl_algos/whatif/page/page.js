@@ -222,6 +222,10 @@
       if (model.arena.shape === "disc") pen.arc(...toPixels([0, 0]), size * unit, 0, 2 * Math.PI);
       else pen.rect(...toPixels([-size, size]), 2 * size * unit, 2 * size * unit);
       pen.stroke();
+      if (!model.arena.inner) continue;
+      pen.beginPath();
+      pen.arc(...toPixels([0, 0]), (model.arena.inner / usual.arena) * size * unit, 0, 2 * Math.PI);
+      pen.stroke();
     }
     pen.setLineDash([]);
     const recorded = model.recorded.paths, start = Number($("start").value);

@@ -5,7 +5,7 @@ What is observed follows in :mod:`animarl_envs.worlds.chase.senses`.
 Arrays have the copy last: positions ``(K, 2, B)``, observations ``(K, n, B)``. Each innermost loop
 runs over all copies and has no branch, so that it compiles to vector instructions. Rows are chosen
 by index, not cut out as views, which would cost more than the row when there is one copy only.
-``field`` is ``(shape code, size, boundary)``.
+``field`` is that of an :class:`~animarl_envs.arena.Arena`.
 
 Individuals without a learner follow a rule of :mod:`animarl_envs.worlds.chase.scripted`.
 """
@@ -45,7 +45,7 @@ def start(mask, state):  # type: ignore[no-untyped-def]
     position, velocity, demos, demo = state.position, state.velocity, state.demos, state.demo
     fixed, random, contact_radius = state.fixed, state.random, state.contact_radius
     K, _, B = position.shape
-    last = K - 1
+    hole = state.field[3]
     for b in range(B):
         if not mask[b]:
             continue
@@ -67,27 +67,28 @@ def start(mask, state):  # type: ignore[no-untyped-def]
                 of_another = state.traits[drawn, i % state.traits.shape[1], x]
                 trait = state.own_traits[demo[b], i, x] if own else of_another
                 state.bodies.traits[x, i, b] = trait
-        touching, draws = demo[b] < 0 and len(fixed) == 0, 0
-        while touching:
+        drawing, draws = demo[b] < 0 and len(fixed) == 0, 0
+        while drawing:
             for i in range(K):
                 # Many are hardly ever all apart: after these draws only those in contact are moved.
-                if draws < WHOLE_DRAWS or (i < last and _touches(i, b, position, contact_radius)):
+                if draws < WHOLE_DRAWS or _is_misplaced(i, b, position, contact_radius, hole):
                     for x in range(2):
                         place = state.half_side * (2.0 * next_uniform(random, b) - 1.0)
                         position[i, x, b] = place
             draws += 1
-            touching = False
-            for i in range(last):
-                touching |= _touches(i, b, position, contact_radius)
+            drawing = False
+            for i in range(K):
+                drawing |= _is_misplaced(i, b, position, contact_radius, hole)
 
 
 @inline_kernel
-def _touches(i, b, position, contact_radius):  # type: ignore[no-untyped-def]
-    """Return whether individual ``i`` is in contact with the last one."""
+def _is_misplaced(i, b, position, contact_radius, hole):  # type: ignore[no-untyped-def]
+    """Return whether individual ``i`` is in contact with the last one, or in the hole of a ring."""
     last = position.shape[0] - 1
-    dx = position[last, 0, b] - position[i, 0, b]
-    dy = position[last, 1, b] - position[i, 1, b]
-    return dx * dx + dy * dy < contact_radius * contact_radius
+    x, y = position[i, 0, b], position[i, 1, b]
+    dx, dy = position[last, 0, b] - x, position[last, 1, b] - y
+    touching = i < last and dx * dx + dy * dy < contact_radius * contact_radius
+    return touching or x * x + y * y < hole * hole
 
 
 # -- a whole step ---------------------------------------------------------------------------------
@@ -253,8 +254,7 @@ def drive(  # type: ignore[no-untyped-def]
                     thrust,
                     pushes,
                     dt,
-                    field[0],
-                    field[1],
+                    field,
                     contact_radius,
                     lone,
                     actions,
@@ -457,7 +457,7 @@ def judge(  # type: ignore[no-untyped-def]
         for b in range(B):  # shared reward: a capture is everybody's
             shared = sharing[b] == 1 and code[b] > 0
             components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
-    shape, _, boundary = field
+    shape, _, boundary, hole = field
     if not walled:
         for j in range(K):  # targets first: their leaving is named before a pursuer's
             i = j if lone else last - j
@@ -468,7 +468,9 @@ def judge(  # type: ignore[no-untyped-def]
                 if shape == SQUARE:
                     out = max(abs(x), abs(y)) > boundary
                 else:
-                    out = shape == DISC and x * x + y * y > boundary * boundary
+                    squared = x * x + y * y
+                    out = squared > boundary * boundary or squared < hole * hole
+                    out &= shape == DISC
                 components[i, BOUNDARY, b] = penalty if out else 0.0
                 code[b] = left if out and code[b] == TIME_OUT else code[b]
     if lone:  # a touch is the pursuer's
@@ -511,7 +513,7 @@ def judge_free(  # type: ignore[no-untyped-def]
 ):
     """Judge free animals: leaving ends the episode and costs; time near another may pay."""
     K, _, B = position.shape
-    shape, _, boundary = field
+    shape, _, boundary, hole = field
     for b in range(B):
         code[b] = TIME_OUT
     pairs = shoaling and K <= PAIRED  # else those within reach along x are looked at
@@ -525,7 +527,7 @@ def judge_free(  # type: ignore[no-untyped-def]
             x = position[i, 0, b]
             y = position[i, 1, b]
             far = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
-            out = not walled and shape in (SQUARE, DISC) and far > boundary
+            out = not walled and shape in (SQUARE, DISC) and (far > boundary or far < hole)
             near = shoaling and not pairs and components[i, ELAPSED, b] > 0.0
             for j in range(K if pairs else 0):
                 dx = position[j, 0, b] - x

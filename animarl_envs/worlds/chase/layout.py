@@ -440,7 +440,7 @@ def ranges(
     radius = reach if round_field else math.sqrt(2.0) * reach
     scales = species.scales
     relative = top / min(m.smallest_thrust * scales.dt for m in scales.locomotion)
-    near, inside = NEAR * scales.arena_size, min(0.0, arena.edge - reach)
+    near, inside = NEAR * scales.arena_size, min(0.0 - arena.hole, arena.edge - reach)
     at_wall, by_wall = (
         (math.tanh(inside / scale), math.tanh(arena.edge / scale))
         for scale in (BODY * scales.arena_size, REACH * scales.arena_size)

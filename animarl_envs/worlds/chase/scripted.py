@@ -60,8 +60,7 @@ def decide(  # type: ignore[no-untyped-def]
     thrust,
     pushes,
     dt,
-    shape,
-    size,
+    field,
     contact_radius,
     lone,
     actions,
@@ -72,6 +71,7 @@ def decide(  # type: ignore[no-untyped-def]
     ``lone``: the last individual pursues all others, else all others pursue it.
     """
     K, _, B = position.shape
+    shape, size, _, hole = field
     last, scale = K - 1, 1.0 / size
     flees = (i == last) != lone
     first, end = (0, last) if i == last else (last, K)
@@ -108,7 +108,8 @@ def decide(  # type: ignore[no-untyped-def]
                 if j > first:
                     _keep_nearer(count, scratch)
         if flees:
-            _flee(shape, reach[i], pushes[i], pairs, count, scratch)
+            rim = np.float32(_STEEP * (hole * scale + WALL_MARGIN)) if hole > 0.0 else _ZERO
+            _flee(shape, rim, reach[i], pushes[i], pairs, count, scratch)
         else:
             _intercept(shape, contact, reach[i], reach[first], pushes[i], count, scratch)
         for b in range(count):
@@ -259,15 +260,18 @@ def _place_pursuer(reach, own_reach, count, scratch, out):  # type: ignore[no-un
 
 
 @jit
-def _flee(shape, reach, pushes, pairs, count, scratch):  # type: ignore[no-untyped-def]
-    """Take the action of the least danger at the looks; pursuers are summed two at a time."""
+def _flee(shape, rim, reach, pushes, pairs, count, scratch):  # type: ignore[no-untyped-def]
+    """Take the action of the least danger at the looks; pursuers are summed two at a time.
+
+    ``rim`` is how far out the hole of a ring repels, as steep as walls; 0 without a hole.
+    """
     for k in range(0, pushes.shape[1] - 1, NUM_DIRECTIONS):
         magnitude = np.float32(pushes[0, k])
         carried, pushed = reach[LOOKS - 1, 0], magnitude * reach[LOOKS - 1, 1]
         if shape == SQUARE:  # compiled for each shape, so that its loop has no branch
-            _cost_walls(SQUARE, carried, pushed, count, scratch)
+            _cost_walls(SQUARE, rim, carried, pushed, count, scratch)
         elif shape == DISC:
-            _cost_walls(DISC, carried, pushed, count, scratch)
+            _cost_walls(DISC, rim, carried, pushed, count, scratch)
         else:
             scratch[COST:PURSUERS] = _ZERO
         for pair in range(pairs):
@@ -282,7 +286,7 @@ def _flee(shape, reach, pushes, pairs, count, scratch):  # type: ignore[no-untyp
 
 
 @nb.njit(inline="always")
-def _cost_walls(shape, carried, pushed, count, scratch):  # type: ignore[no-untyped-def]
+def _cost_walls(shape, rim, carried, pushed, count, scratch):  # type: ignore[no-untyped-def]
     """Write what walls cost where each push leads, and without a push."""
     for b in range(count):
         x = _STEEP * (scratch[OWN + b] + carried * scratch[OWN + 2 * BLOCK + b])
@@ -292,17 +296,17 @@ def _cost_walls(shape, carried, pushed, count, scratch):  # type: ignore[no-unty
         ey *= _STEEP
         x0, x1, x2, x3, x4, x5 = _along(ex, -ey)
         y0, y1, y2, y3, y4, y5 = _along(ey, ex)
-        _put(0, _depth(shape, x + x0, y + y0), _depth(shape, x - x0, y - y0), scratch, b)
-        _put(1, _depth(shape, x + x1, y + y1), _depth(shape, x - x1, y - y1), scratch, b)
-        _put(2, _depth(shape, x + x2, y + y2), _depth(shape, x - x2, y - y2), scratch, b)
-        _put(3, _depth(shape, x + x3, y + y3), _depth(shape, x - x3, y - y3), scratch, b)
-        _put(4, _depth(shape, x + x4, y + y4), _depth(shape, x - x4, y - y4), scratch, b)
-        _put(5, _depth(shape, x + x5, y + y5), _depth(shape, x - x5, y - y5), scratch, b)
-        scratch[COST + NUM_DIRECTIONS * BLOCK + b] = _depth(shape, x, y)
+        _put(0, _depth(shape, rim, x + x0, y + y0), _depth(shape, rim, x - x0, y - y0), scratch, b)
+        _put(1, _depth(shape, rim, x + x1, y + y1), _depth(shape, rim, x - x1, y - y1), scratch, b)
+        _put(2, _depth(shape, rim, x + x2, y + y2), _depth(shape, rim, x - x2, y - y2), scratch, b)
+        _put(3, _depth(shape, rim, x + x3, y + y3), _depth(shape, rim, x - x3, y - y3), scratch, b)
+        _put(4, _depth(shape, rim, x + x4, y + y4), _depth(shape, rim, x - x4, y - y4), scratch, b)
+        _put(5, _depth(shape, rim, x + x5, y + y5), _depth(shape, rim, x - x5, y - y5), scratch, b)
+        scratch[COST + NUM_DIRECTIONS * BLOCK + b] = _depth(shape, rim, x, y)
 
 
 @nb.njit(inline="always")
-def _depth(shape, x, y):  # type: ignore[no-untyped-def]
+def _depth(shape, rim, x, y):  # type: ignore[no-untyped-def]
     """Return the squared depth of a place in the margin of the walls."""
     depth = _ZERO
     if shape == SQUARE:
@@ -310,7 +314,8 @@ def _depth(shape, x, y):  # type: ignore[no-untyped-def]
         depth_y = y - min(_INSIDE, max(-_INSIDE, y))
         depth = depth_x * depth_x + depth_y * depth_y
     elif shape == DISC:
-        depth = max(_ZERO, math.sqrt(x * x + y * y) - _INSIDE)
+        out = math.sqrt(x * x + y * y)
+        depth = max(_ZERO, out - _INSIDE, rim - out)
         depth *= depth
     return depth
 

@@ -65,6 +65,7 @@ class ChaseSenses(NamedTuple):
     scales: tuple[float, float]  # of the distance to a wall [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
+    hole: float  # radius of the hole of a ring [arena unit]
     limit: int  # of an episode [steps]
     shares: Floats  # of a step in each average of the past
     dt: float  # [s]
@@ -84,6 +85,7 @@ def senses_of(species: ChaseSpecies, observers: Bools) -> ChaseSenses:
         (BODY * scales.arena_size, REACH * scales.arena_size),
         SHAPE_CODES[arena.shape],
         arena.edge,
+        float(arena.hole),
         scales.time_limit,
         past_shares(species),
         species.dt,
@@ -184,6 +186,7 @@ def observe(  # type: ignore[no-untyped-def]
                     scales,
                     shape,
                     edge,
+                    senses.hole,
                     observation,
                 )
 
@@ -448,7 +451,7 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
 
 @inline_kernel
 def observe_wall(  # type: ignore[no-untyped-def]
-    i, position, velocity, towards, first, stride, scales, shape, edge, observation
+    i, position, velocity, towards, first, stride, scales, shape, edge, hole, observation
 ):
     """Observe distance and direction of the nearest wall, and own velocity towards and along it.
 
@@ -477,6 +480,8 @@ def observe_wall(  # type: ignore[no-untyped-def]
             nx = x / out if out > 0.0 else ex
             ny = y / out if out > 0.0 else ey
         near = edge - out
+        if hole > 0.0 and out - hole < near:
+            near, nx, ny = out - hole, -nx, -ny
         observation[i, at, b] = tanh_of(near / scales[0])
         observation[i, by, b] = tanh_of(near / scales[1])
         observation[i, where, b] = nx * ex + ny * ey

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.array_types import Bools, Floats, Ints
 from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -124,7 +123,7 @@ class ChaseWorld(World):
                 dt=species.dt,
                 penalty=species.boundary_penalty,
                 step_cost=species.step_cost,
-                field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
+                field=arena.field,
                 walled=arena.rebound,
                 lone=species.lone_pursuer,
                 free=free,
@@ -210,7 +209,9 @@ def observe(
     frames, K, _ = position.shape
     acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
     steps = np.zeros(frames, dtype=np.int64) if steps is None else steps
-    still = Scenario(species=species, start=np.zeros((K, 2)), drivers=("action",) * K)
+    still = Scenario(
+        species=species, start=np.full((K, 2), (species.arena.size, 0.0)), drivers=("action",) * K
+    )
     world = ChaseWorld(still, frames)  # a copy for each frame
     world.position[:], world.velocity[:], world.acceleration[:] = position, velocity, acceleration
     if species.has_headings:

@@ -33,6 +33,7 @@ from animarl_algos.whatif.absent import (
 from animarl_algos.whatif.live_page import SYNTHETIC, page_model, write_page
 from animarl_algos.whatif.quantities import OUTCOMES
 from animarl_algos.whatif.thrust_search import ThrustSearch
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import custom_species
@@ -148,7 +149,7 @@ def recorded_steps(run: Run, removed: tuple[str, ...]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "species, removed",
     [
-        *((name, ()) for name in ("agent", "silkmoth", "solo", "shoal", "custom")),
+        *((name, ()) for name in ("agent", "silkmoth", "solo", "shoal", "custom", "ring")),
         ("agent", ("predator_0",)),
         *slowly(("fly", ()), ("newt", ()), ("fly", ("male_1",))),  # chases as well
     ],
@@ -160,11 +161,18 @@ def test_parity_of_the_page_with_python(
         table = np.random.default_rng(0).normal(size=(8, 3, 2))
         traits = Traits(np.zeros((2, 3, 2)), np.ones((3, 2)), table)
         monkeypatch.setattr(custom_species, "fitted_traits", lambda _: traits)
-    if species in ("solo", "shoal", "custom"):  # no trained model is packaged
-        demos = few("agent" if species == "custom" else species, 4, 2, COPIES)
-        own = {**demos.provenance, "synthetic": species != "custom"}
-        demos = replace(demos, provenance=own, species=species)
-        made(tmp_path, "soft-bc", demos=demos, species=species, rolled_out=False)
+    if species in ("solo", "shoal", "custom", "ring"):  # no trained model is packaged
+        is_own = species in ("custom", "ring")
+        demos = few("agent" if is_own else species, 4, 2, COPIES)
+        own = {**demos.provenance, "synthetic": not is_own}
+        demos = replace(demos, provenance=own, species="custom" if is_own else species)
+        walls = {"rebound": True} if species == "ring" else {}
+        if species == "ring":
+            demos = replace(demos, arena=Arena("disc", 1.5, 1.6, inner=0.4))
+        made(
+            tmp_path, "soft-bc", demos=demos, species=demos.species, rolled_out=False,
+            env_kwargs=walls,
+        )  # fmt: skip
         run = load_run(tmp_path / "soft-bc-0")
     else:
         run = load_run(species)
@@ -188,7 +196,9 @@ def test_parity_of_the_page_with_python(
     assert off["simd"]
     assert off["actions"] == 0 and off["outcomes"] == 0
     assert off["observation"] < 1e-5 and off["position"] < 1e-9
-    rounding = 1e-4 if species == "custom" else 1e-5  # its inputs hardly vary in so few episodes
+    rounding = (
+        1e-4 if species in ("custom", "ring") else 1e-5
+    )  # its inputs hardly vary in so few episodes
     assert off["values"] < rounding * max(1.0, np.abs(given["log"]["values"]).max())
     assert off["measured"]
     check_measures(given["model"], off["measures"])

@@ -127,7 +127,12 @@ def test_a_corridor_and_a_ring_are_noticed() -> None:
     box = rng.uniform(-1, 1, (4000, 2))
     disc = box[np.linalg.norm(box, axis=1) < 1.0]
     corridor = box * [1.0, 0.1]
-    for points, word in ((ring, "ring"), (corridor, "corridor"), (box, ""), (disc, "--arena disc")):
+    for points, word in (
+        (ring, "--arena ring=0.8"),
+        (corridor, "corridor"),
+        (box, ""),
+        (disc, "--arena disc"),
+    ):
         found = describe_ground(
             episodes_along(
                 [points[:, None]], individuals=("a",), roles=("pursuer",), species="custom"

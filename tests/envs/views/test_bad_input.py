@@ -66,7 +66,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ),
     ("agent", {"boundary_penalty": NAN}, "boundary_penalty is nan"),
     ("agent", {"arena": -1.0}, "arena size is -1.0"),
-    ("agent", {"arena": "triangle"}, "arena shape is 'triangle': choose square, disc"),
+    ("agent", {"arena": "triangle"}, "arena is 'triangle': choose square, disc"),
     ("agent", {"arena": {"form": "disc"}}, "arena has no 'form'"),
     ("agent", {"arena": [1, 2]}, "arena is [1, 2]"),
     ("agent", {"rebound": "yes"}, "rebound is 'yes'"),

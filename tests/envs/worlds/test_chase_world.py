@@ -15,6 +15,7 @@ from recordings import dogs
 
 import benchmarks.paper_readers  # noqa: F401  (registers the readers of published sets)
 from animarl_envs.arena import SHAPE_CODES, Arena
+from animarl_envs.demos.episode import PURSUER_OUT
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
@@ -266,7 +267,7 @@ def test_odd_options_keep_observations_finite(options: dict[str, Any]) -> None:
         assert np.isfinite(world.observation).all()
 
 
-@pytest.mark.parametrize("shape", ["square", "disc"])
+@pytest.mark.parametrize("shape", ["square", "disc", "ring=0.6"])
 def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
     made = world(50, arena=shape, rebound=True)
     rng = np.random.default_rng(0)
@@ -274,13 +275,40 @@ def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
     for _ in range(120):
         made.step(rng.choice([0, 6, 6, 6, 3], size=(50, 3)))
         out = np.abs(made.position).max(axis=2)
-        if shape == "disc":
+        if shape != "square":
             out = np.linalg.norm(made.position, axis=2)
-        assert out.max() <= 1.0
+        assert out.max() <= 1.0 and out.min() >= 0.6 * (shape == "ring=0.6")
         touched += int((out > 1.0 - 1e-9).sum())
         assert (made.outcome >= 0).all() and (made.components[..., 2] == 0.0).all()
         made.reset(made.terminated | made.truncated)
     assert touched > 100
+
+
+def test_without_walls_an_episode_ends_in_the_hole_of_a_ring() -> None:
+    places = [[0.7, 0.0], [-0.7, 0.0], [0.0, 0.7]]
+    made = world(1, places, arena="ring=0.6")
+    while not made.terminated[0]:
+        assert np.linalg.norm(made.position, axis=2).min() >= 0.6 / 1.1
+        made.step(np.array([[0, 0, COAST]]))  # through the middle, where the target is not
+    assert made.outcome[0] == PURSUER_OUT
+    assert np.linalg.norm(made.position, axis=2).min() < 0.6 / 1.1
+
+
+def test_the_nearest_wall_of_a_ring_may_be_its_hole() -> None:
+    """Of individual 0 above the middle, the target to the lower left of it."""
+    for shape, y, wall in (("ring=0.6", 0.65, -1.0), ("ring=0.6", 0.95, 1.0), ("disc", 0.1, 1.0)):
+        made = world(1, [[0.0, y], [0.9, 0.0], [-0.9, 0.0]], arena=shape, rebound=True)
+        seen = {
+            one.name: value
+            for one, value in zip(made.observation_components, made.observation[0, 0])
+        }
+        distance = 0.05 if shape == "ring=0.6" else 0.9
+        assert seen["tanh of distance to the wall / (0.1 size)"] == pytest.approx(
+            np.tanh(distance / 0.1)
+        )
+        towards = np.array([-0.9, -y]) / np.hypot(0.9, y)
+        assert seen["direction of the wall cosine"] == pytest.approx(wall * towards[1])
+        assert seen["direction of the wall sine"] == pytest.approx(wall * towards[0])
 
 
 def test_who_is_replayed_keeps_to_the_recording_beyond_a_wall() -> None:
@@ -332,7 +360,7 @@ def unit(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def moves(
     own: Locomotion, who: int, given: tuple[NDArray[np.float64], ...], shape: int, size: float,
-    lone: bool = False,
+    lone: bool = False, hole: float = 0.0,
 ) -> NDArray[np.uint64]:  # fmt: skip
     """Actions for positions, velocities, focus directions and accelerations ``(B, K, 2)``."""
     still = (*given, np.zeros_like(given[0]))[:4]
@@ -342,7 +370,8 @@ def moves(
     pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * individuals)
     decide(
         who, position, velocity, push, towards, np.full(individuals, own.damping),
-        np.full(individuals, own.thrust), pushes, DT, shape, size, CONTACT, lone, actions,
+        np.full(individuals, own.thrust), pushes, DT, (shape, size, size, hole), CONTACT, lone,
+        actions,
     )  # fmt: skip
     others = np.delete(actions, who, axis=0)
     assert (others == 77).all()  # a rule speaks for its own individual alone
@@ -361,14 +390,16 @@ def scene(
 
 
 @pytest.mark.parametrize("individuals", [2, 3])
-@pytest.mark.parametrize("shape", [SQUARE, DISC, OPEN])
-def test_the_target_takes_the_action_of_the_lowest_cost(individuals: int, shape: int) -> None:
+@pytest.mark.parametrize("shape, hole", [(SQUARE, 0.0), (DISC, 0.0), (DISC, 0.6), (OPEN, 0.0)])
+def test_the_target_takes_the_action_of_the_lowest_cost(
+    individuals: int, shape: int, hole: float
+) -> None:
     size, copies, target = 1.5, 80, individuals - 1
     position, velocity, towards = scene(individuals, copies, size, seed=3)
     if shape == SQUARE:
         position[:40, target, 0] *= 0.1  # some near one wall alone
         position[:40, target, 1] = 1.3
-    chosen = moves(OWN, target, (position, velocity, towards), shape, size)
+    chosen = moves(OWN, target, (position, velocity, towards), shape, size, hole=hole)
     margin, steps = 0.25 * size, math.ceil(math.sqrt(size / OWN.thrust) / DT)
     focus = position[:, target, None] - position[:, :target]
     focus /= np.linalg.norm(focus, axis=-1, keepdims=True)
@@ -388,7 +419,8 @@ def test_the_target_takes_the_action_of_the_lowest_cost(individuals: int, shape:
                 continue
             square = shape == SQUARE
             reach = np.abs(place) if square else np.linalg.norm(place, axis=1, keepdims=True)
-            depth = np.maximum(reach - (size - margin), 0.0) / margin * (shape != OPEN)
+            depth = np.maximum(reach - (size - margin), (hole + margin - reach) * (hole > 0.0))
+            depth = np.maximum(depth, 0.0) / margin * (shape != OPEN)
             gap = np.linalg.norm(chaser - place[:, None], axis=-1) / size
             costs[k] += WALL_WEIGHT * (depth**2).sum(axis=1) * (t == steps)
             costs[k] += (1.0 / (gap**2 + SOFTENING)).sum(axis=1)

@@ -32,6 +32,7 @@ CHASES: list[tuple[str, dict[str, Any]]] = [
     ("agent", {}), ("fly", {}), ("newt", {}), ("fly", {"num_pursuers": 1}),
     ("agent", {"demos": None, "num_pursuers": 4}), ("agent", {"demos": None, "arena": "open"}),
     ("agent", {"demos": None, "num_targets": 3}), ("custom", {"demos": dogs(2)}),
+    ("agent", {"demos": None, "arena": "ring=0.4", "rebound": True}),
     ("newt", {"senses_past": True, "senses_time": True, "senses_course": True}),
 ]  # fmt: skip
 MOTHS: list[tuple[str, dict[str, Any]]] = [
