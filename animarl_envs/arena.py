@@ -2,15 +2,22 @@
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.array_types import Bools
 from animarl_envs.errors import InputError
-from animarl_envs.settings import NotNegative, Positive, PositiveOrInfinite, check_fields
+from animarl_envs.settings import (
+    NotNegative,
+    Positive,
+    PositiveOrInfinite,
+    check_fields,
+    check_names,
+)
 
 ArenaShape = Literal["square", "disc", "open"]
 SHAPE_CODES: dict[str, int] = {"square": 0, "disc": 1, "open": 2}
@@ -38,6 +45,9 @@ class Arena:
     inner
         Radius of the hole in the middle of a disc, which makes it a ring; 0 for none. The hole has
         walls where the field has; else it ends the episode from ``inner * size / boundary`` on.
+    landmarks
+        Points that individuals perceive by direction and distance: name, x and y of each, or a
+        mapping of names to places; a removed landmark is infinitely far.
     """
 
     shape: ArenaShape = "square"
@@ -45,9 +55,11 @@ class Arena:
     boundary: PositiveOrInfinite = 1.1  # [arena unit]
     rebound: bool = False
     inner: NotNegative = 0.0  # [arena unit]
+    landmarks: tuple[tuple[str, float, float], ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self, "arena ")
+        object.__setattr__(self, "landmarks", _landmarks(self.landmarks))
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
             object.__setattr__(self, "rebound", False)
@@ -80,7 +92,17 @@ class Arena:
     def scaled(self, size: float) -> "Arena":
         """Return the arena with another size; its boundary and hole keep their shares of it."""
         boundary, inner = self.boundary / self.size, self.inner / self.size
-        return replace(self, size=size, boundary=size * boundary, inner=size * inner)
+        factor = size / self.size
+        landmarks = tuple((name, factor * x, factor * y) for name, x, y in self.landmarks)
+        return replace(
+            self, size=size, boundary=size * boundary, inner=size * inner, landmarks=landmarks
+        )
+
+    def without_landmark(self, name: str) -> "Arena":
+        """Return the arena with a landmark so far away that it is not perceived."""
+        far = (name, math.inf, math.inf)
+        landmarks = tuple(far if one[0] == name else one for one in self.landmarks)
+        return replace(self, landmarks=landmarks)
 
     def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> Bools:
         """Return whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
@@ -91,6 +113,25 @@ class Arena:
         else:
             extent = np.abs(positions).max(axis=-1)
         return np.asarray((extent <= self.edge + margin) & (extent >= self.hole - margin))
+
+
+def _landmarks(given: Any) -> tuple[tuple[str, float, float], ...]:
+    """Check landmarks: triples of name, x and y, or places by name; a place may be text ``x,y``."""
+    pairs = given.items() if isinstance(given, Mapping) else ((n, place) for n, *place in given)
+    landmarks = []
+    for name, place in pairs:
+        try:
+            x, y = map(float, place.split(",") if isinstance(place, str) else place)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"landmark {name!r:.80} is at {place!r:.80}: give x and y in arena units, as 0,1"
+            ) from None
+        landmarks.append((name, x, y))
+    names = [name for name, _, _ in landmarks]
+    check_names("arena", "a landmark", names)
+    if len(set(names)) < len(names):
+        raise InputError(f"landmarks are {', '.join(names)}: give each a name of its own")
+    return tuple(landmarks)
 
 
 def parse_shape(text: str) -> tuple[str, float]:

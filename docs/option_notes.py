@@ -99,6 +99,10 @@ NOTES: dict[str, tuple[str, str]] = {
 }
 
 CHASE_ONLY: dict[str, tuple[str, str]] = {
+    "landmarks": (
+        "names and places, such as `{'stripe': (0, 1)}`",
+        "points that individuals perceive by direction and distance",
+    ),
     "num_pursuers": (
         "a whole number, at least 1",
         "number of pursuers; with fewer than recorded, the first ones are used; with more, give "

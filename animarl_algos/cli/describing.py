@@ -292,6 +292,8 @@ def _arena(demos: Demonstrations) -> str:
     text = words[arena.shape] + (f" around a hole of {arena.inner:g}" if arena.inner else "")
     if math.isfinite(arena.boundary):
         text += f", boundary {arena.boundary:g}"
+    if arena.landmarks:
+        text += f"; landmarks {', '.join(name for name, *_ in arena.landmarks)}"
     if sizes:
         span = " to ".join(dict.fromkeys(f"{size:.4g}" for size in (sizes[0], sizes[-1])))
         text += f"; an arena unit is {span} {_unit_name(demos)}"

@@ -158,7 +158,8 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
     if unsaid and base.target is None and not base.searcher:
         given["target"] = AUTO
     record = json.loads(json.dumps(base.to_dict()))
-    given["option"] = parse_settings(given["option"], "--option") or None
+    for name in ("option", "landmark"):
+        given[name] = parse_settings(given[name], f"--{name}") or None
     given["cut"] = given["cut"] or (
         "approach" if given["farther_than"] else "events" if given["events"] else None
     )

@@ -358,6 +358,8 @@ def draw_paths(
         panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
         if arena.inner:
             panel.add_patch(Circle((0.0, 0.0), arena.inner, **outline | {"facecolor": "none"}))
+    for _, *place in arena.landmarks:
+        panel.plot(*place, "^", color=style.MUTED.hex, markersize=6)
     if "searcher" in roles:
         panel.plot(0.0, 0.0, "x", color=style.TARGET.hex, markersize=6, markeredgewidth=1.5)
     ground = style.PAGE.hex

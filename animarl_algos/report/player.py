@@ -1,6 +1,7 @@
 """What the player on a page plays: paths of a few starts, packed into little text."""
 
 import base64
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -97,6 +98,7 @@ def _world(stage: Stage) -> dict[str, Any]:
             "size": arena.size,
             "walls": arena.rebound,
             "inner": arena.inner,
+            "landmarks": [place for place in arena.landmarks if math.isfinite(place[1])],
         },
         "contact": stage.contact_radius,
         "individuals": [

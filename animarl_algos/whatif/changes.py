@@ -33,6 +33,7 @@ PLUME = "plume"
 PLUMES = ("model", "continuous", "off")
 AIR = {"wind": "advection_speed", "odour": "threshold"}
 """Constants of the plume model; the threshold goes down as the source's odour goes up."""
+LANDMARK = "landmark.remove"
 REMOVE, ADD, START, UNIFORM = "remove", "add", "start", "uniform"
 PLACE = re.compile(rf"({NUMBER})\s*,\s*({NUMBER})\s*([A-Za-z]*)")
 
@@ -67,10 +68,10 @@ class Change:
         Those whose body, trait or start is changed; empty for the world.
     what
         ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition``,
-        ``plume``, ``wind``, ``odour``, ``remove``, ``start``, a trait (``own_speed``) or another
-        number of the species.
+        ``plume``, ``wind``, ``odour``, ``remove``, ``landmark.remove``, ``start``, a trait
+        (``own_speed``) or another number of the species.
     amount
-        How much; of a condition or a plume its name, of a start ``uniform`` or a place.
+        How much; of a condition, a plume or a landmark its name, of a start ``uniform`` or a place.
     text
         As the user wrote it.
     """
@@ -187,6 +188,11 @@ class ChangedWorld:
                 field = OPTION_NAMES.get(change.what, change.what)
                 before = float(getattr(species, field))
                 options[field] = change.amount.of(before, lengths | {"s": 1.0}, change.text)
+        arena = species.arena.scaled(options.get("arena", species.arena.size))
+        for change in self.changes:
+            if change.what == LANDMARK:
+                arena = arena.without_landmark(str(change.amount))
+                options["landmarks"] = arena.landmarks
         if bodies != dict(zip(species.individuals, species.locomotion)):
             options["locomotion"] = bodies
         return options
@@ -242,7 +248,7 @@ def parse_change(text: str, species: Species) -> list[Change]:
     individuals, what = named[name]
     if isinstance(species.locomotion[0], CellLocomotion):
         what = _body_of_cells(what, value, text)
-    if what in (CONDITION, PLUME, REMOVE, START):
+    if what in (CONDITION, PLUME, REMOVE, START, LANDMARK):
         chosen = _choice(what, value, species, text)
         return [Change((chosen,) if what == REMOVE else individuals, what, chosen, text)]
     sweep = SWEEP.fullmatch(value)
@@ -303,7 +309,7 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
     world = ["time_limit"]
     if isinstance(species, ChaseSpecies):
         world += ["arena"] * (species.arena.shape != "open") + ["contact"] * (not species.free)
-        world += [REMOVE] * can_remove(species)
+        world += [REMOVE] * can_remove(species) + [LANDMARK] * bool(species.arena.landmarks)
     if isinstance(species, SearchSpecies):
         fields_of_search = {field.name for field in fields(SearchSpecies)}
         numbers = fields_of_search - {field.name for field in fields(Species)}
@@ -332,7 +338,12 @@ def _choice(what: str, value: str, species: Species, text: str) -> str:
     """Check the name of a condition, a plume or an individual, or a start, and return it."""
     if what == START and value == UNIFORM and not isinstance(species, ChaseSpecies):
         raise InputError(f"{text!r}: starts of {species.name} are not drawn: give a place x,y")
-    names = {REMOVE: species.individuals, CONDITION: species.conditions, PLUME: PLUMES}.get(what)
+    names = {
+        REMOVE: species.individuals,
+        CONDITION: species.conditions,
+        PLUME: PLUMES,
+        LANDMARK: tuple(name for name, _, _ in species.arena.landmarks),
+    }.get(what)
     if names is not None and value not in names:
         raise InputError(f"{text!r}: there is no {value!r}: choose one of {', '.join(names)}")
     return value
@@ -406,6 +417,7 @@ def _check_once(changes: Iterable[Change]) -> None:
     gone = {name for one in changes if one.what == REMOVE for name in one.individuals}
     for change in changes:
         what = "thrust" if change.what == "speed" else change.what
+        what += f" {change.amount}" * (what == LANDMARK)
         for name in change.individuals or ("",):
             if name in gone and what in BODY:
                 raise InputError(f"{change.text!r} changes {name}, who is removed: leave one out")

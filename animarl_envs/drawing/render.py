@@ -47,7 +47,7 @@ WIDEST_BOUNDARY = 1.5  # a boundary is in view up to this many arena sizes
 BODY_LENGTH = (0.042, 0.060)  # a body is as long as the contact radius, within these bounds
 LEAST_BODY = 0.03  # of a searcher, whose antennae stand out
 RIM = 0.05  # white around a body [body length]
-TRAIL_WIDTH, LINE_WIDTH, DASH = 0.0055, 0.0032, 0.011
+TRAIL_WIDTH, LINE_WIDTH, DASH, LANDMARK = 0.0055, 0.0032, 0.011, 0.009
 TRAIL_FADE = 25.0  # [frames] over which a trail fades, from and to these opacities
 TRAIL_OPACITY = 0.85, 0.16
 PLUME_OPACITY = 0.55  # at concentration 1
@@ -224,6 +224,11 @@ class Renderer:
                 self._page.fill(palette.ARENA, (0, 0, self.size, self.size))
             else:
                 self._draw_edges(arena)
+            for name, x, y in arena.landmarks:
+                if math.isfinite(x):
+                    place = self._at(np.array([x, y]))
+                    self._disc(place, LANDMARK * self.size, palette.OUTLINE)
+                    self._write(name, *(place + LANDMARK * self.size), palette.MUTED_TEXT)
             if arena.shape == "open" or scene.unit != RECORDED_SCALE:
                 self._draw_scale(scene)
             self._ground = here, self._page.copy()

@@ -99,6 +99,8 @@ def _draw_recordings(
     for axes, name in zip(panels, names, strict=False):
         own = np.flatnonzero((demos.recording == name) & (demos.condition == condition))
         axes.plot(*edge, color="0.8", lw=0.8)
+        for _, *place in demos.arena.landmarks:
+            axes.plot(*(unit.per_arena_unit * np.array(place)), "^", color="0.5", ms=6)
         if demos.arena.inner:
             hole = demos.arena.inner / demos.arena.size * np.asarray(edge)
             axes.plot(*hole, color="0.8", lw=0.8)

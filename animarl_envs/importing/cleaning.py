@@ -8,7 +8,7 @@ Scaling to the arena frame is invertible. All recordings of an import share one 
 scales of their own their speeds would not compare.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -318,6 +318,11 @@ class Scaling(Checked):
         "units",
         "Open arena: the file's units per arena unit; default: half the extent, 1 for a source.",
     )
+    landmarks: Mapping[str, Any] = option(
+        dict,
+        "landmark",
+        "A point that animals perceive, as name=x,y in arena units from the middle, y upwards.",
+    )
     boundary: PositiveOrInfinite = option(
         1.1, "boundary", "Individuals beyond it are out, in arena units."
     )
@@ -333,7 +338,13 @@ class Scaling(Checked):
     def arena(self) -> Arena:
         """The arena in arena units."""
         shape, inner = parse_shape(self.shape)
-        return Arena(shape, size=1.0, boundary=self.boundary, inner=inner)  # type: ignore[arg-type]
+        return Arena(
+            shape,  # type: ignore[arg-type]
+            size=1.0,
+            boundary=self.boundary,
+            inner=inner,
+            landmarks=self.landmarks,  # type: ignore[arg-type]
+        )
 
 
 @dataclass(frozen=True)

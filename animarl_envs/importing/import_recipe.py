@@ -90,6 +90,10 @@ class ImportRecipe(Checked):
             "a searcher has no target: leave one of them out",
         )
         require(
+            not (self.searcher and self.scaling.landmarks),
+            "a searcher perceives no landmarks: leave them out",
+        )
+        require(
             self.pursuer is None or (self.target is None and not self.searcher),
             "where a pursuer is named all others are its targets: name no target, and no search",
         )

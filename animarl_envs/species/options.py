@@ -13,6 +13,8 @@ from animarl_envs.species.base import Reading
 
 COUNTS = ("num_pursuers", "num_targets")
 """Options that set how many individuals of a role there are; of the other role there is one."""
+OF_THE_ARENA = ("rebound", "boundary", "landmarks")
+"""Options that are fields of the arena."""
 
 
 def with_options(species: Species, **options: Any) -> Species:
@@ -21,7 +23,8 @@ def with_options(species: Species, **options: Any) -> Species:
     ``num_pursuers`` sets the number of pursuers of a chase, renamed ``<kind>_0, <kind>_1, ...``,
     and ``num_targets`` that of the targets of one pursuer, who comes last. ``arena`` is an
     :class:`Arena`, its fields by name, a shape name, or a size, with which the boundary and the
-    square of starts grow; ``rebound`` and ``boundary`` apply to it. ``locomotion`` is one
+    square of starts grow; ``rebound``, ``boundary`` and ``landmarks`` (places by name) apply to it.
+    ``locomotion`` is one
     :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}``, ``{"female": {"thrust":
     0.19}}`` (also ``damping``, ``magnitudes``) or ``{"female": 1.2}`` (a factor on the thrust).
     ``thrusts`` is the number of thrust magnitudes of every individual, M: who has another number
@@ -45,7 +48,7 @@ def with_options(species: Species, **options: Any) -> Species:
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
     for key in options:
         if key not in known:
-            more = {*COUNTS, "locomotion", "thrusts", "rebound", "boundary"}
+            more = {*COUNTS, "locomotion", "thrusts", *OF_THE_ARENA}
             raise UnknownOptionError.of(key, species.name, known | more)
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
@@ -145,13 +148,13 @@ def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
 
 def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
     given = options.pop("arena", None)
-    changes = {key: options.pop(key) for key in ("rebound", "boundary") if key in options}
+    changes = {key: options.pop(key) for key in OF_THE_ARENA if key in options}
     if isinstance(given, Mapping):
         unknown = set(given) - {f.name for f in fields(Arena)}
         if unknown:
             raise InputError(
                 f"arena has no {sorted(map(str, unknown))[0]!r}: give shape, size, boundary, "
-                "rebound or inner"
+                "rebound, inner or landmarks"
             )
         given = replace(arena, **given)
     if isinstance(given, Arena):

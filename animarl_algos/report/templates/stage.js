@@ -86,7 +86,7 @@ class Stage {
   }
 
   drawField(context, scale, side, length, value) {
-    const { shape, size, walls, inner } = this.data.arena;
+    const { shape, size, walls, inner, landmarks } = this.data.arena;
     context.strokeStyle = colourOf("muted");
     context.lineWidth = walls ? 3 : 1;
     context.setLineDash(walls ? [] : [5, 4]);
@@ -103,6 +103,7 @@ class Stage {
     context.setLineDash([]);
     context.strokeStyle = colourOf("text");
     context.fillStyle = colourOf("text");
+    for (const [name, ...at] of landmarks) context.fillText(`\u25b2 ${name}`, ...this.place(at));
     if (this.data.individuals.some(({ role }) => role === "searcher")) {
       context.lineWidth = 2;
       context.beginPath();

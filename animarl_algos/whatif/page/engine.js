@@ -557,7 +557,7 @@ const AnimaRL = (() => {
         else if (others[0].apart > 0) [ex, ey] = [others[0].dx / others[0].apart, others[0].dy / others[0].apart];
         this.towards[own] = ex;
         this.towards[own + 1] = ey;
-        this.#write(b, i, ex, ey, others.slice(0, senses.first.length - 1));
+        this.#write(b, i, ex, ey, others.slice(0, senses.first.length - 1 - this.model.arena.landmarks.length));
       }
     }
 
@@ -641,6 +641,13 @@ const AnimaRL = (() => {
           pair(c("OTHER_POSITION"), x + other.dx, y + other.dy);
           pair(c("OTHER_VELOCITY"), vx + other.dvx, vy + other.dvy);
         }
+      });
+      this.model.arena.landmarks.forEach(([, lx, ly], k) => {
+        const rank = senses.first.length - 1 - k, factor = this.size / this.model.arena.size;
+        const dx = factor * lx - x, dy = factor * ly - y, apart = Math.sqrt(dx * dx + dy * dy);
+        const [ahead, left] = apart > 0 ? egocentric(dx / apart, dy / apart, ex, ey) : [0, 0];
+        pair(column(rank, "LANDMARK_CIRCLE"), ahead, left);
+        out[column(rank, "LANDMARK_DISTANCE")] = squash(apart / this.model.arena.size);
       });
       const square = this.model.arena.shape === "square", radius = Math.sqrt(x * x + y * y);
       const centre = column(0, "CENTRE_DISTANCE"), edge = column(0, "EDGE");

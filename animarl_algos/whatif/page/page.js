@@ -228,6 +228,10 @@
       pen.stroke();
     }
     pen.setLineDash([]);
+    for (const [name, x, y] of model.arena.landmarks) {
+      pen.fillStyle = quiet;
+      pen.fillText(`\u25b2 ${name}`, ...toPixels([(x / usual.arena) * world.size, (y / usual.arena) * world.size]));
+    }
     const recorded = model.recorded.paths, start = Number($("start").value);
     if (recorded && !places) {
       const [from, to] = model.recorded.offsets.slice(start, start + 2);

@@ -102,7 +102,7 @@ class GroupSpec(NamedTuple):
     def describe(self, rank: int, name: str, direction: str) -> str:
         """Return the description of an entry, of the individual itself (0) or of another."""
         return (
-            self.description.replace("{who}", f"{{{rank}}}" if rank else "it")
+            self.description.replace("{who}", f"{{{rank}}}" if rank > 0 else "it")
             .replace("{name}", name)
             .replace("{way}", WAYS.get(direction, ""))
             .replace("{side}", SIDES.get(direction, ""))
@@ -345,13 +345,28 @@ class ChaseGroup(IntEnum):
         _MOVES,
         of_walls=True,
     )
+    # Each landmark
+    LANDMARK_CIRCLE = GroupSpec(
+        "bearing {cosine|sine}", EGO, "1", "unit", "the landmark is in another direction", _ALWAYS
+    )
+    LANDMARK_DISTANCE = GroupSpec(
+        "tanh of distance / size",
+        "any",
+        "1",
+        "unit",
+        "the landmark is [nearer|farther]",
+        _ALWAYS,
+    )
 
 
 ABSENT = -1
 
 
 def rows(species: ChaseSpecies) -> Iterator[tuple[int, ChaseGroup, GroupSpec]]:
-    """Yield the groups of an observation in order: rank (0 itself, 1 the focus), key, group."""
+    """Yield the groups of an observation in order: rank, key, group.
+
+    Ranks are 0 for itself, 1 for the focus, from 2 on for others, and -1, -2, ... for landmarks.
+    """
     kind = species.observation
     senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
 
@@ -367,9 +382,12 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, ChaseGroup, GroupSpec]]:
         for seen, group in held(ChaseGroup.PLACE, ChaseGroup.CENTRE_DISTANCE):
             if rank > 1 or species.free or group.of_focus or kind == PAPER:
                 yield rank, seen, group
-    for seen, group in held(ChaseGroup.CENTRE_DISTANCE, len(ChaseGroup)):
+    for seen, group in held(ChaseGroup.CENTRE_DISTANCE, ChaseGroup.LANDMARK_CIRCLE):
         if senses_field and (species.arena.rebound or not group.of_walls):
             yield 0, seen, group
+    for k in range(len(species.arena.landmarks)):
+        for seen, group in held(ChaseGroup.LANDMARK_CIRCLE, len(ChaseGroup)):
+            yield -1 - k, seen, group
 
 
 def past_scales(species: ChaseSpecies) -> int:
@@ -392,9 +410,11 @@ def past_shares(species: ChaseSpecies) -> Floats:
 def first_rows(species: ChaseSpecies) -> Ints:
     """Return the row where each group begins, ``(individuals, groups)``, or ``ABSENT``.
 
-    The first row is of the individual itself and the arena, the following of the others in order.
+    The first row is of the individual itself and the arena, the following of the others in order,
+    and the last ones of landmarks, backwards.
     """
-    first = np.full((1 + species.num_seen, len(ChaseGroup)), ABSENT, dtype=np.int64)
+    things = 1 + species.num_seen + len(species.arena.landmarks)
+    first = np.full((things, len(ChaseGroup)), ABSENT, dtype=np.int64)
     end = 0
     for rank, seen, group in rows(species):
         first[rank, seen] = end
@@ -411,10 +431,16 @@ def observation_components(
     fastest individual. Demonstrations may be faster, ``fastest`` [arena unit / s], and lie
     farther out, ``farthest`` [arena unit].
     """
-    spans = ranges(species, fastest, farthest)
+    spans, landmarks = ranges(species, fastest, farthest), species.arena.landmarks
+
+    def titled(rank: int, name: str) -> str:
+        if rank == 0:
+            return name
+        return f"other {rank} {name}" if rank > 0 else f"{landmarks[-1 - rank][0]} {name}"
+
     return tuple(
         ObservationComponent(
-            f"other {rank} {name}" if rank else name,
+            titled(rank, name),
             group.frame,
             group.unit,
             *spans[group.range],

@@ -66,6 +66,8 @@ class ChaseSenses(NamedTuple):
     shape: int
     edge: float  # half side or radius [arena unit]
     hole: float  # radius of the hole of a ring [arena unit]
+    landmarks: Floats  # (landmarks, 2) [arena unit]
+    size: float  # of the arena of training [arena unit]
     limit: int  # of an episode [steps]
     shares: Floats  # of a step in each average of the past
     dt: float  # [s]
@@ -86,6 +88,8 @@ def senses_of(species: ChaseSpecies, observers: Bools) -> ChaseSenses:
         SHAPE_CODES[arena.shape],
         arena.edge,
         float(arena.hole),
+        np.array([place for _, *place in arena.landmarks]).reshape(-1, 2),
+        float(scales.arena_size),
         scales.time_limit,
         past_shares(species),
         species.dt,
@@ -155,6 +159,7 @@ def observe(  # type: ignore[no-untyped-def]
         _observe_motion(i, velocity, acceleration, towards, first, own_velocity[i], observation)
         _observe_others(i, seen, faced, others, towards, first, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
+        _observe_landmarks(i, position, towards, senses, observation)
         observe_headings(i, seen, towards, first, others, bodies, headed, observation)
         if full is not None:
             observe_own(
@@ -320,6 +325,23 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
         if edge_at != ABSENT:
             observation[i, edge_at, b] = edge - (max(abs(x), abs(y)) if shape == SQUARE else radius)
     _put(i, first[0, ChaseGroup.CENTRE], position, i, 0, -1.0, towards, observation)
+
+
+@inline_kernel
+def _observe_landmarks(i, position, towards, senses, observation):  # type: ignore[no-untyped-def]
+    """Observe direction and distance of landmarks; one infinitely far has no direction."""
+    for k in range(len(senses.landmarks)):
+        circle = senses.first[-1 - k, ChaseGroup.LANDMARK_CIRCLE]
+        away = senses.first[-1 - k, ChaseGroup.LANDMARK_DISTANCE]
+        for b in range(position.shape[2]):
+            dx = senses.landmarks[k, 0] - position[i, 0, b]
+            dy = senses.landmarks[k, 1] - position[i, 1, b]
+            ex, ey = towards[i, 0, b], towards[i, 1, b]
+            apart = math.sqrt(dx * dx + dy * dy)
+            seen = 0.0 < apart < np.inf
+            observation[i, circle, b] = (dx * ex + dy * ey) / apart if seen else 0.0
+            observation[i, circle + 1, b] = (dy * ex - dx * ey) / apart if seen else 0.0
+            observation[i, away, b] = tanh_of(apart / senses.size)
 
 
 # -- oneself --------------------------------------------------------------------------------------

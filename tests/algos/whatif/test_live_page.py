@@ -168,7 +168,9 @@ def test_parity_of_the_page_with_python(
         demos = replace(demos, provenance=own, species="custom" if is_own else species)
         walls = {"rebound": True} if species == "ring" else {}
         if species == "ring":
-            demos = replace(demos, arena=Arena("disc", 1.5, 1.6, inner=0.4))
+            demos = replace(
+                demos, arena=Arena("disc", 1.5, 1.6, inner=0.4, landmarks={"stripe": "0,1.5"})
+            )
         made(
             tmp_path, "soft-bc", demos=demos, species=demos.species, rolled_out=False,
             env_kwargs=walls,

@@ -51,6 +51,7 @@ from animarl_algos.whatif.thrust_search import ThrustSearch
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES, get_species
+from animarl_envs.species.options import with_options
 from animarl_envs.species.traits import Traits
 from animarl_envs.worlds import make_world, observation_components
 from animarl_envs.worlds.base import ObservationComponent
@@ -86,6 +87,16 @@ def test_changes_in_the_words_of_their_user() -> None:
     assert options("condition=shared") == {}
     (antenna,) = parse_scenarios(["antenna_radius=x2"], MOTH)
     assert antenna.options(MOTH, MM)["antenna_radius"] == pytest.approx(2 * MOTH.antenna_radius)
+
+
+def test_a_landmark_is_removed_from_an_arena_of_another_size() -> None:
+    marked = with_options(AGENT, landmarks={"stripe": (0, 1), "lamp": (0.5, 0.0)})
+    (both,) = parse_scenarios(["landmark.remove=stripe", "arena=x0.5"], marked)
+    changed = with_options(marked, **both.options(marked, MM)).arena
+    assert changed.size == 0.5
+    assert changed.landmarks == (("stripe", math.inf, math.inf), ("lamp", 0.25, 0.0))
+    with pytest.raises(InputError, match="there is no 'moon': choose one of stripe, lamp"):
+        parse_change("landmark.remove=moon", marked)
 
 
 def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:

@@ -13,7 +13,9 @@ from refusals import refuses
 from animarl_algos.cli.describing import describe_ground
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import Splitting, cross_validated, deal, split_recordings
+from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.importing.cleaning import Scaling, scales_of
+from animarl_envs.importing.readers import read
 from animarl_envs.importing.tracks import Tracks
 
 SIX = ["animals", "rate", "unit", "arena", "conditions", "split"]
@@ -139,3 +141,15 @@ def test_a_corridor_and_a_ring_are_noticed() -> None:
             )
         )
         assert len(found) == bool(word) and all(word in line for line in found)
+
+
+@pytest.mark.realdata
+def test_fish_that_cross_the_middle_are_in_no_ring(tmp_path: Path) -> None:
+    fish = Path(__file__).parents[4] / "shared" / "data" / "fish_shoals" / "fish15.csv"
+    out = tmp_path / "fish.npz"
+    words = ("--fps", "32", "--target", "none", "--arena", "ring=0.2")
+    printed = " ".join(animarl("import", fish, *words, "--out", out).split())
+    assert "around a hole of 0.2" in printed and "otherwise give a smaller hole" in printed
+    demos = read(out)
+    assert demos.arena.inner == 0.2 and not arena_of(demos).rebound
+    assert describe_ground(replace(demos, arena=replace(demos.arena, inner=0.0))) == []

@@ -33,6 +33,7 @@ CHASES: list[tuple[str, dict[str, Any]]] = [
     ("agent", {"demos": None, "num_pursuers": 4}), ("agent", {"demos": None, "arena": "open"}),
     ("agent", {"demos": None, "num_targets": 3}), ("custom", {"demos": dogs(2)}),
     ("agent", {"demos": None, "arena": "ring=0.4", "rebound": True}),
+    ("agent", {"demos": None, "arena": "open", "landmarks": {"stripe": "0,1", "lamp": "-.5,.2"}}),
     ("newt", {"senses_past": True, "senses_time": True, "senses_course": True}),
 ]  # fmt: skip
 MOTHS: list[tuple[str, dict[str, Any]]] = [
@@ -67,6 +68,24 @@ def test_no_component_is_constant_or_a_copy_of_another(name: str, options: Any) 
         alike = np.abs(np.corrcoef(rows.T)) - np.eye(len(names))
         worst = np.unravel_index(np.argmax(alike), alike.shape)
         assert alike.max() < 0.9999, [names[k] for k in worst]
+
+
+def test_landmarks_are_perceived_by_direction_and_distance_until_they_are_removed() -> None:
+    """By individual 0 above the middle, whose target is to the lower left of it."""
+    marks = {"stripe": (0.0, 1.0), "lamp": (0.5, 0.5)}
+    start = [[0.0, 0.5], [0.5, 0.0], [-0.5, 0.0]]
+    scenario = make_scenario("agent", demos=None, start=start, landmarks=marks)
+    removed = scenario.species.arena.without_landmark("stripe").landmarks
+    for landmarks, stripe in (
+        (marks, [-(0.5**0.5), -(0.5**0.5), math.tanh(0.5)]),
+        (removed, [0, 0, 1]),
+    ):
+        made = make_world(make_scenario("agent", demos=None, start=start, landmarks=landmarks))
+        made.reset()
+        names = [one.name for one in made.observation_components][-6:]
+        assert names[0] == "stripe bearing cosine" and names[5] == "lamp tanh of distance / size"
+        lamp = [-(0.5**0.5), 0.5**0.5, math.tanh(0.5)]
+        assert made.observation[0, 0, -6:] == pytest.approx([*stripe, *lamp], abs=1e-6)
 
 
 def test_every_species_is_looked_at() -> None:
