@@ -228,7 +228,8 @@ class Renderer:
                 if math.isfinite(x):
                     place = self._at(np.array([x, y]))
                     self._disc(place, LANDMARK * self.size, palette.OUTLINE)
-                    self._write(name, *(place + LANDMARK * self.size), palette.MUTED_TEXT)
+                    left, top = (place + LANDMARK * self.size).tolist()
+                    self._write(name, left, top, palette.MUTED_TEXT)
             if arena.shape == "open" or scene.unit != RECORDED_SCALE:
                 self._draw_scale(scene)
             self._ground = here, self._page.copy()
