@@ -45,7 +45,8 @@ class PackagedOpponents:
         self._made_of = scenario, num_copies, driven
         species = scenario.species
         run = _load_packaged(species.name)
-        policy, learned = run.policy.policy, run.policy.get_env()
+        policy = run.policy.policy
+        learned: Any = run.policy.get_env()
         assert not (policy.recurrent or policy.q_net.previous_action)
         arena = replace(species.arena, rebound=run.species.arena.rebound)
         seen = replace(species, observation=run.species.observation, arena=arena)
@@ -75,8 +76,9 @@ class PackagedOpponents:
         if self._flagged:
             flag = np.broadcast_to(world.condition[:, None, None], (*actions.shape, 1))
             seen = np.concatenate([seen, flag], axis=2, dtype=np.float32)
-        flat = np.ascontiguousarray(seen.reshape(actions.size, -1))
-        values = self._actor.decide(flat, self._previous, self._hidden)
+        values = self._actor.decide(
+            np.ascontiguousarray(seen.reshape(actions.size, -1)), self._previous, self._hidden
+        )
         own = values.reshape(*actions.shape, -1)[:, self._driven]
         draws = np.empty(own.shape[:2])
         draw_uniforms(world.random_state, draws)
