@@ -5,6 +5,9 @@ date of its own file alone. So it is kept in a folder that is named after a hash
 kernel may hold a part of: an edit of the transition, or another numba, has all that use it compiled
 anew, and a copy of the package at another path does not. Folders of old sources stay behind, beside
 Python's own ``__pycache__`` files, and may be deleted at any time.
+
+A wheel of a platform (``tools/make_wheel.py``) brings machine code for many processors, which is
+used where nothing was compiled for this one.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import atexit
 import functools
 import gc
 import hashlib
+import json
 import re
 import shutil
 import sys
@@ -20,11 +24,17 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
+import llvmlite.binding as llvm
 import numba as nb
 from numba.core import event
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    _CacheLocator,
+)
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
@@ -37,7 +47,10 @@ _user_cache_dir: Any = appdirs.user_cache_dir
 # whatever they name of a module that they import whole.
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
 _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTILINE)
-COMPILING = "compiling for this machine, about 11 s, once; `animarl compile` does it beforehand"
+COMPILING = "compiling for this machine, about a minute, once; `animarl compile` does it beforehand"
+SHIPPED, TARGET = _HERE / "machine_code", "target.json"
+"""Folder of the machine code that a wheel brings, and the file in it that names the target."""
+FULL_VECTORS = "-vectorizer-maximize-bandwidth"
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
 
@@ -48,13 +61,15 @@ class CompilationWarning(UserWarning):
 class Compilations(event.Listener):  # type: ignore[misc]
     """Say once in a process that kernels are being compiled: a line, or in a log a warning.
 
-    Python's collector of cycles waits meanwhile: it would find nothing.
+    Meanwhile Python's collector of cycles waits, since it would find nothing, and LLVM fills vector
+    registers by the smaller numbers of a loop: what is observed is float32, of float64 states.
     """
 
     reported = False
 
     def __init__(self) -> None:
         self._depth = 0
+        self._ours = 0  # the depth of a kernel of this project, from 1
         self._collects = False
 
     def on_start(self, of: Any) -> None:
@@ -64,7 +79,12 @@ class Compilations(event.Listener):  # type: ignore[misc]
             gc.disable()
         self._depth += 1
         module = str(of.data["dispatcher"].py_func.__module__)  # None of what exec made
-        if self.reported or not module.startswith("animarl"):
+        if not module.startswith("animarl"):
+            return
+        if not self._ours:
+            self._ours = self._depth
+            llvm.set_option("animarl", f"{FULL_VECTORS}=true")
+        if self.reported:
             return
         self.reported = True
         terminal = sys.stderr is not None and sys.stderr.isatty()
@@ -78,6 +98,9 @@ class Compilations(event.Listener):  # type: ignore[misc]
 
     def on_end(self, of: Any) -> None:
         """Note that a compilation has ended."""
+        if self._ours == self._depth:
+            self._ours = 0
+            llvm.set_option("animarl", f"{FULL_VECTORS}=false")
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
@@ -212,10 +235,46 @@ class KernelCacheParts(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes: ClassVar[list[Any]] = [SourceLocator]  # type: ignore[misc]
 
 
+class Target(NamedTuple):
+    """The processors that a wheel's machine code is for, as numba names them."""
+
+    triple: str
+    cpu: str
+    features: str
+
+    def magic_tuple(self) -> tuple[str, str, str]:
+        """Return what numba keeps machine code under, as its code generators do."""
+        return self.triple, self.cpu, self.features
+
+    def runs_here(self) -> bool:
+        """Return whether this processor has all that the code needs."""
+        own = {f"+{name}" for name, there in llvm.get_host_cpu_features().items() if there}
+        return llvm.get_process_triple() == self.triple and own >= set(self.features.split(","))
+
+
+@functools.cache
+def shipped_target() -> Target | None:
+    """Return what a wheel's machine code is for; None if there is none, or it does not run here."""
+    file = SHIPPED / TARGET
+    target = Target(**json.loads(file.read_text())) if file.is_file() else None
+    return target if target is not None and target.runs_here() else None
+
+
 class KernelCache(FunctionCache):  # type: ignore[misc]
-    """The machine code of a kernel on disk."""
+    """The machine code of a kernel on disk: made for this machine, or else a wheel's."""
 
     _impl_class = KernelCacheParts
+    takes_shipped: ClassVar[bool] = True
+
+    def _load_overload(self, signature: Any, context: Any) -> Any:
+        own = super()._load_overload(signature, context)  # type: ignore[no-untyped-call]
+        target = shipped_target() if own is None and self.takes_shipped else None
+        if target is None:
+            return own
+        folder = SHIPPED / Path(self.cache_path).relative_to(Path(self.cache_path).parents[1])
+        file: Any = IndexDataCacheFile(str(folder), self._impl.filename_base, "")  # type: ignore[no-untyped-call]
+        data = file.load(self._index_key(signature, target))  # type: ignore[no-untyped-call]
+        return None if data is None else self._impl.rebuild(context, data)
 
 
 @functools.cache

@@ -63,6 +63,8 @@ class Place(NamedTuple):
 def compile_command() -> None:
     """Compile the kernels of every species for this machine, so that no first step waits for it.
 
+    A wheel of your platform brings kernels for many processors; these here are of your own.
+
     Example:
 
       animarl compile
@@ -71,9 +73,11 @@ def compile_command() -> None:
 
     from animarl_algos.cli.shared import PlainConsole
     from animarl_algos.data.vec_env import SlotVecEnv
+    from animarl_envs.compiling import KernelCache
     from animarl_envs.species import COMPACT, SPECIES
     from animarl_envs.worlds import demonstration_observations
 
+    KernelCache.takes_shipped = False
     for name in SPECIES:
         before = perf_counter()
         for observation in (COMPACT, "full"):  # "paper" has the kernels of "full"

@@ -4,10 +4,12 @@ A stream of splitmix64 depends on its copy's seed alone, so a copy gives the sam
 beside 1,023 others, or in another process. (Steele, Lea and Flood 2014, "Fast splittable
 pseudorandom number generators".) For simulation, not for cryptography.
 
-The functions compile to vector instructions, as those of libm do not.
+The functions compile to vector instructions, as those of libm do not; float32, of which a vector
+instruction takes eight.
 """
 
 import math
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -70,8 +72,13 @@ def draw_uniforms(state, numbers):  # type: ignore[no-untyped-def]
             numbers[b, i] = next_uniform(state, b)
 
 
-_MOST = 9.0  # tanh beyond it is 1 in float32
-_SQUARINGS = 6  # exp(z) = exp(z / 64)^64, and exp(z / 64) is a short series
+_MOST: Any = np.float32(8.0)  # tanh beyond it is 1 in float32
+# tanh(x) / x up to there as a rational function of x^2: relative errors are below 2e-8 before
+# rounding (least squares, reweighted until all extrema were alike).
+_T1, _T2, _T3, _T4, _T5 = map(
+    np.float32, (0.129792169, 0.00298585487, 9.87859494e-06, -1.47040184e-08, 2.35080653e-11)
+)
+_U1, _U2, _U3 = map(np.float32, (0.463125318, 0.0240278952, 0.000237202257))
 _ONE_BITS, _FRACTION, _SHIFT, _BIAS = (
     np.int32(0x3F800000),
     np.int32(0x007FFFFF),
@@ -80,23 +87,28 @@ _ONE_BITS, _FRACTION, _SHIFT, _BIAS = (
 )
 _LN2, _ONE = np.float32(math.log(2.0)), np.float32(1.0)
 _L3, _L5, _L7, _L9, _L11 = (np.float32(2.0 / k) for k in (3, 5, 7, 9, 11))
-_TWO = np.float32(2.0)
+_TWO, _THREE = np.float32(2.0), np.float32(3.0)
+
+
+@nb.njit(inline="always")
+def bounded(x):  # type: ignore[no-untyped-def]
+    """Return a float32 that rounding may have taken out of [-1, 1]."""
+    return min(max(x, -_ONE), _ONE)
 
 
 @nb.njit(inline="always")
 def tanh_of(x):  # type: ignore[no-untyped-def]
-    """Return ``tanh(x)`` of float64 within 1e-7; odd in ``x``."""
-    z = -2.0 / 2.0**_SQUARINGS * min(abs(x), _MOST)
-    power = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0))))
-    for _ in range(_SQUARINGS):
-        power = power * power
-    return math.copysign((1.0 - power) / (1.0 + power), x)
+    """Return ``tanh(x)`` of float32 within 4e-7; odd in ``x``, and 1 at most."""
+    z = min(max(x, -_MOST), _MOST)
+    s = z * z
+    above = _ONE + s * (_T1 + s * (_T2 + s * (_T3 + s * (_T4 + s * _T5))))
+    return bounded(z * above / (_ONE + s * (_U1 + s * (_U2 + s * _U3))))
 
 
 @nb.njit(inline="always")
 def tanh_tripled(t):  # type: ignore[no-untyped-def]
-    """Return ``tanh(3 a)`` of ``t = tanh(a)``."""
-    return t * (3.0 + t * t) / (1.0 + 3.0 * t * t)
+    """Return ``tanh(3 a)`` of ``t = tanh(a)``, float32."""
+    return bounded(t * (_THREE + t * t) / (_ONE + _THREE * t * t))
 
 
 @nb.njit(inline="always")

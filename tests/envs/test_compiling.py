@@ -1,16 +1,19 @@
 """Compiled code follows its sources, and there is always a place to keep it."""
 
+import json
 import os
+import platform
 import re
 import shutil
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import pytest
 from numba import typeof
 from pages import python
 
 import animarl_algos
-from animarl_envs.compiling import _kernel_sources, source_key
+from animarl_envs.compiling import SHIPPED, TARGET, Target, _kernel_sources, source_key
 from animarl_envs.focus import averaged
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES
@@ -101,6 +104,22 @@ def test_a_read_only_install_uses_a_temporary_folder_and_says_so_once(
         assert (value, hits) == (13.5, 0)
         assert said.count("set NUMBA_CACHE_DIR to a folder that can be written") == 1
         assert list(temporary.iterdir()) == []  # tidied up
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the target is one of x86-64")
+@pytest.mark.parametrize(("needs", "hits"), [("+sse4.2", 1), ("+sse4.2,+no-such-thing", 0)])
+def test_machine_code_of_a_wheel_is_used_where_it_runs(
+    copied: Path, tmp_path: Path, needs: str, hits: int
+) -> None:
+    shipped = copied / "animarl_envs" / SHIPPED.name
+    target = Target(llvm.get_process_triple(), "x86-64-v2", "+sse4.2")
+    names = {"NUMBA_CPU_NAME": target.cpu, "NUMBA_CPU_FEATURES": target.features}
+    assert run_kernel(copied, NUMBA_CACHE_DIR=str(shipped), **names)[:2] == (13.5, 0)
+    (shipped / TARGET).write_text(json.dumps(target._replace(features=needs)._asdict()))
+    empty = {"NUMBA_CACHE_DIR": str(tmp_path / "empty")}
+    assert run_kernel(copied, **empty)[:2] == (13.5, hits)
+    edit(copied / "animarl_envs" / "locomotion.py", "(1.0 - damping) * v", "(2.0 - damping) * v")
+    assert run_kernel(copied, **empty)[:2] == (14.5, 0)  # code of other sources
 
 
 def test_the_key_is_of_the_kernels_of_the_package_and_of_the_environments() -> None:

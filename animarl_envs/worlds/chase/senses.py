@@ -6,7 +6,7 @@ the table of :mod:`animarl_envs.worlds.chase.layout`: a group that is absent the
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,13 +43,20 @@ from animarl_envs.worlds.chase.neighbours import (
     look,
     look_around,
 )
-from animarl_envs.worlds.streams import angle_of, log_of, tanh_of, tanh_tripled
+from animarl_envs.worlds.streams import angle_of, bounded, log_of, tanh_of, tanh_tripled
 
 FINE, FINE_PAST, FINE_MEMORY = map(
     int, (ChaseGroup.FINE, ChaseGroup.FINE_SHORT, ChaseGroup.FINE_MEMORY)
 )
 ON_COURSE, SPANS = MEMORY.index(COURSE), len(MEMORY)
 SQUARE = SHAPE_CODES["square"]
+# What ends in float32 is computed in it: a vector instruction takes eight copies, of float64 four.
+_ZERO: Any = np.float32(0.0)
+_ONE: Any = np.float32(1.0)
+_TWO: Any = np.float32(2.0)
+_THIRD: Any = np.float32(1.0 / 3.0)
+_REST: Any = np.float32(REST)
+_FAINT: Any = np.float32(FAINT)
 
 
 class ChaseSenses(NamedTuple):
@@ -277,13 +284,12 @@ def _observe_more_of_others(  # type: ignore[no-untyped-def]
         if bearing_at != ABSENT:
             for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
-                bearing = np.float32(0.0) if rank < faced else angle_of(ahead, left)
-                observation[i, bearing_at, b] = bearing
+                observation[i, bearing_at, b] = _ZERO if rank < faced else angle_of(ahead, left)
         if rank >= faced and first[row, ChaseGroup.BEARING_CIRCLE] != ABSENT:
             _observe_direction_of(i, rank, others, towards, first, observation)
         if inverse_at != ABSENT:
             for b in range(B):
-                observation[i, inverse_at, b] = 1.0 / (others[rank, APART, b] + near)
+                observation[i, inverse_at, b] = _ONE / np.float32(others[rank, APART, b] + near)
         _put_plane(i, first[row, ChaseGroup.OFFSET], others, rank, DX, 1.0, observation)
         if place != ABSENT:
             for x in range(2):
@@ -300,30 +306,31 @@ def _observe_direction_of(i, rank, others, towards, first, observation):  # type
         first[rank + 1, ChaseGroup.DIRECTION],
     )
     for b in range(others.shape[2]):
-        apart = others[rank, APART, b]
-        ex = towards[i, 0, b]
-        ey = towards[i, 1, b]
-        ux = others[rank, DX, b] / apart if apart > 0.0 else ex
-        uy = others[rank, DY, b] / apart if apart > 0.0 else ey
+        apart = np.float32(others[rank, APART, b])
+        ex = np.float32(towards[i, 0, b])
+        ey = np.float32(towards[i, 1, b])
+        ux = np.float32(others[rank, DX, b]) / apart if apart > _ZERO else ex
+        uy = np.float32(others[rank, DY, b]) / apart if apart > _ZERO else ey
         if plane != ABSENT:
             observation[i, plane, b] = ux
             observation[i, plane + 1, b] = uy
-        observation[i, circle, b] = ux * ex + uy * ey
-        observation[i, circle + 1, b] = uy * ex - ux * ey
+        observation[i, circle, b] = bounded(ux * ex + uy * ey)
+        observation[i, circle + 1, b] = bounded(uy * ex - ux * ey)
 
 
 @inline_kernel
 def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
     """Observe the centre and the edge of the arena."""
     centre_at, edge_at = first[0, ChaseGroup.CENTRE_DISTANCE], first[0, ChaseGroup.EDGE]
+    far = np.float32(edge)
     for b in range(position.shape[2]):
-        x = position[i, 0, b]
-        y = position[i, 1, b]
+        x = np.float32(position[i, 0, b])
+        y = np.float32(position[i, 1, b])
         radius = math.sqrt(x * x + y * y)
         if centre_at != ABSENT:
             observation[i, centre_at, b] = radius
         if edge_at != ABSENT:
-            observation[i, edge_at, b] = edge - (max(abs(x), abs(y)) if shape == SQUARE else radius)
+            observation[i, edge_at, b] = far - (max(abs(x), abs(y)) if shape == SQUARE else radius)
     _put(i, first[0, ChaseGroup.CENTRE], position, i, 0, -1.0, towards, observation)
 
 
@@ -336,12 +343,13 @@ def _observe_landmarks(i, position, towards, senses, observation):  # type: igno
         for b in range(position.shape[2]):
             dx = senses.landmarks[k, 0] - position[i, 0, b]
             dy = senses.landmarks[k, 1] - position[i, 1, b]
-            ex, ey = towards[i, 0, b], towards[i, 1, b]
             apart = math.sqrt(dx * dx + dy * dy)
             seen = 0.0 < apart < np.inf
-            observation[i, circle, b] = (dx * ex + dy * ey) / apart if seen else 0.0
-            observation[i, circle + 1, b] = (dy * ex - dx * ey) / apart if seen else 0.0
-            observation[i, away, b] = tanh_of(apart / senses.size)
+            x, y = (dx / apart, dy / apart) if seen else (0.0, 0.0)
+            ahead, left = egocentric(x, y, i, b, towards)
+            observation[i, circle, b] = bounded(ahead)
+            observation[i, circle + 1, b] = bounded(left)
+            observation[i, away, b] = tanh_of(np.float32(apart / senses.size))
 
 
 # -- oneself --------------------------------------------------------------------------------------
@@ -387,8 +395,8 @@ def observe_own(  # type: ignore[no-untyped-def]
         _observe_scales(i, velocity, towards, first, FINE, stride, observation)
     if first[0, ChaseGroup.COURSE] != ABSENT:
         course, push = first[0, ChaseGroup.COURSE], first[0, ChaseGroup.PUSH]
-        _observe_direction(i, velocity, towards, course, FAINT * stride, observation)
-        _observe_direction(i, acceleration, towards, push, FAINT, observation)
+        _observe_direction(i, velocity, towards, course, np.float32(FAINT * stride), observation)
+        _observe_direction(i, acceleration, towards, push, _FAINT, observation)
     at = first[0, ChaseGroup.TIME]
     if at != ABSENT:  # recordings may go on beyond the limit
         for b in range(B):
@@ -430,22 +438,19 @@ def _observe_scales(i, velocity, towards, first, at, stride, observation):  # ty
     The first of the three groups, which follow each other, is ``at``.
     """
     fine, coarse, log = first[0, at], first[0, at + 1], first[0, at + 2]
-    per_stride = 1.0 / stride
+    per_stride = np.float32(1.0 / stride)
     for b in range(velocity.shape[2]):
-        vx = velocity[i, 0, b] * per_stride
-        vy = velocity[i, 1, b] * per_stride
-        ex = towards[i, 0, b]
-        ey = towards[i, 1, b]
-        ahead = tanh_of((vx * ex + vy * ey) / 3.0)
-        left = tanh_of((vy * ex - vx * ey) / 3.0)
+        vx = np.float32(velocity[i, 0, b]) * per_stride
+        vy = np.float32(velocity[i, 1, b]) * per_stride
+        ex = np.float32(towards[i, 0, b])
+        ey = np.float32(towards[i, 1, b])
+        ahead = tanh_of((vx * ex + vy * ey) * _THIRD)
+        left = tanh_of((vy * ex - vx * ey) * _THIRD)
         observation[i, coarse, b] = ahead
         observation[i, coarse + 1, b] = left
         observation[i, fine, b] = tanh_tripled(ahead)
         observation[i, fine + 1, b] = tanh_tripled(left)
-    for b in range(velocity.shape[2]):
-        vx = velocity[i, 0, b] * per_stride
-        vy = velocity[i, 1, b] * per_stride
-        observation[i, log, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
+        observation[i, log, b] = log_of(math.sqrt(vx * vx + vy * vy) + _REST)
 
 
 @inline_kernel
@@ -454,18 +459,18 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
     for b in range(vector.shape[2]):
         ahead, left = egocentric(vector[i, 0, b], vector[i, 1, b], i, b, towards)
         length = math.sqrt(ahead * ahead + left * left)
-        per_length = 1.0 / length if length > 0.0 else 0.0
+        per_length = _ONE / length if length > _ZERO else _ZERO
         x = ahead * per_length
         y = left * per_length
         clear = length / (length + faint)
         x2 = x * x - y * y
-        y2 = 2.0 * x * y
-        observation[i, at, b] = clear * x2
-        observation[i, at + 1, b] = clear * y2
-        observation[i, at + 2, b] = clear * (x2 * x - y2 * y)
-        observation[i, at + 3, b] = clear * (x2 * y + y2 * x)
-        observation[i, at + 4, b] = clear * (x2 * x2 - y2 * y2)
-        observation[i, at + 5, b] = clear * (2.0 * x2 * y2)
+        y2 = _TWO * x * y
+        observation[i, at, b] = clear * bounded(x2)
+        observation[i, at + 1, b] = clear * bounded(y2)
+        observation[i, at + 2, b] = clear * bounded(x2 * x - y2 * y)
+        observation[i, at + 3, b] = clear * bounded(x2 * y + y2 * x)
+        observation[i, at + 4, b] = clear * bounded(x2 * x2 - y2 * y2)
+        observation[i, at + 5, b] = clear * bounded(_TWO * x2 * y2)
 
 
 # -- walls ----------------------------------------------------------------------------------------
@@ -486,32 +491,33 @@ def observe_wall(  # type: ignore[no-untyped-def]
         first[0, ChaseGroup.WALL_CIRCLE],
     )
     fine, coarse = first[0, ChaseGroup.FINE_WALL], first[0, ChaseGroup.COARSE_WALL]
-    per_stride = 1.0 / stride
+    per_stride, far, within = np.float32(1.0 / stride), np.float32(edge), np.float32(hole)
+    per_body, per_reach = np.float32(1.0 / scales[0]), np.float32(1.0 / scales[1])
     for b in range(position.shape[2]):
-        x = position[i, 0, b]
-        y = position[i, 1, b]
-        ex = towards[i, 0, b]
-        ey = towards[i, 1, b]
+        x = np.float32(position[i, 0, b])
+        y = np.float32(position[i, 1, b])
+        ex = np.float32(towards[i, 0, b])
+        ey = np.float32(towards[i, 1, b])
         if shape == SQUARE:
             sideways = abs(x) >= abs(y)
             out = abs(x) if sideways else abs(y)
-            nx = math.copysign(1.0, x) if sideways else 0.0
-            ny = 0.0 if sideways else math.copysign(1.0, y)
+            nx = math.copysign(_ONE, x) if sideways else _ZERO
+            ny = _ZERO if sideways else math.copysign(_ONE, y)
         else:
-            out = math.sqrt(x * x + y * y)
-            nx = x / out if out > 0.0 else ex
-            ny = y / out if out > 0.0 else ey
-        near = edge - out
-        if hole > 0.0 and out - hole < near:
-            near, nx, ny = out - hole, -nx, -ny
-        observation[i, at, b] = tanh_of(near / scales[0])
-        observation[i, by, b] = tanh_of(near / scales[1])
-        observation[i, where, b] = nx * ex + ny * ey
-        observation[i, where + 1, b] = ny * ex - nx * ey
-        vx = velocity[i, 0, b] * per_stride
-        vy = velocity[i, 1, b] * per_stride
-        outwards = tanh_of((vx * nx + vy * ny) / 3.0)
-        along = tanh_of((vy * nx - vx * ny) / 3.0)
+            out = np.sqrt(x * x + y * y)
+            nx = x / out if out > _ZERO else ex
+            ny = y / out if out > _ZERO else ey
+        near = far - out
+        if hole > 0.0 and out - within < near:
+            near, nx, ny = out - within, -nx, -ny
+        observation[i, at, b] = tanh_of(near * per_body)
+        observation[i, by, b] = tanh_of(near * per_reach)
+        observation[i, where, b] = bounded(nx * ex + ny * ey)
+        observation[i, where + 1, b] = bounded(ny * ex - nx * ey)
+        vx = np.float32(velocity[i, 0, b]) * per_stride
+        vy = np.float32(velocity[i, 1, b]) * per_stride
+        outwards = tanh_of((vx * nx + vy * ny) * _THIRD)
+        along = tanh_of((vy * nx - vx * ny) * _THIRD)
         observation[i, coarse, b] = outwards
         observation[i, coarse + 1, b] = along
         observation[i, fine, b] = tanh_tripled(outwards)
