@@ -3,8 +3,9 @@
 The recipes of the benchmark's preset ``short`` are trained on the packaged demonstrations with its
 seeds (what is finished in ``--out`` is kept). For each species the cell whose rollouts from
 validation starts are most like the validation recordings is evaluated on the test split and
-exported. ``--judge`` trains nothing: it evaluates the models that are there once more and writes
-their cards anew.
+exported. ``--living SET`` does the same with runs of published recordings (``animarl data get``),
+whose tracks stay out of the model. ``--judge`` trains nothing: it evaluates the models of packaged
+demonstrations that are there once more and writes their cards anew.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
-from collections.abc import Sequence
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -70,15 +73,34 @@ def make(
         by_species.setdefault(cell.data, []).append(cell)
     for species, cells in by_species.items():
         runs = {f"{c.method}, seed {c.seed}": Run(c.folder(out) / "run") for c in cells}
-        chosen = {name: validation_mismatch(run) for name, run in runs.items()}
-        best = runs[min(chosen, key=lambda name: chosen[name])]
-        print(species, ", ".join(f"{name}: {value:.3f}" for name, value in chosen.items()))
+        given = [f"--species {species}", *(f"--recipe {recipe}" for recipe in recipes)]
+        export_best(species, runs, [*given, *(f"--seed {seed}" for seed in seeds)])
+
+
+def make_living(out: Path, names: Sequence[str], seeds: Sequence[int], processes: int) -> None:
+    """Run published sets, and export for each the model of one seed, without recorded tracks."""
+    for name in names:
+        runs = {f"seed {seed}": Run(out / f"{name}-{seed}") for seed in seeds}
+        for seed, run in zip(seeds, runs.values()):
+            words = ["run", name, "--seed", seed, "--out", run.path, "--processes", processes]
+            command = [sys.executable, "-m", "animarl_algos.cli.main", *map(str, words)]
+            subprocess.run(command, check=True)
+        given = [f"--living {name}", *(f"--seed {seed}" for seed in seeds)]
+        export_best(name, runs, given, simulated=True)
+
+
+def export_best(
+    name: str, runs: Mapping[str, Run], given: Sequence[str], *, simulated: bool = False
+) -> None:
+    """Evaluate and export the run whose rollouts are most like the validation recordings."""
+    chosen = {label: validation_mismatch(run) for label, run in runs.items()}
+    best = runs[min(chosen, key=lambda label: chosen[label])]
+    print(name, ", ".join(f"{label}: {value:.3f}" for label, value in chosen.items()))
+    if not simulated:  # which ``animarl run`` evaluated
         evaluate_run(best)
-        told = [f"--species {species}", *(f"--recipe {recipe}" for recipe in recipes)]
-        told += [f"--seed {seed}" for seed in seeds]
-        command = " ".join(["python -m tools.make_pretrained", *told])
-        shutil.rmtree(FOLDER / species, ignore_errors=True)
-        export_run(best, FOLDER / species, made_by=command, chosen=chosen)
+    command = " ".join(["python -m tools.make_pretrained", *given])
+    shutil.rmtree(FOLDER / name, ignore_errors=True)
+    export_run(best, FOLDER / name, simulated=simulated, made_by=command, chosen=chosen)
 
 
 def judge(names: Sequence[str]) -> None:
@@ -95,17 +117,19 @@ def judge(names: Sequence[str]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     by_default, preset = f"by default all of preset {PRESET}", read_matrix(PRESET)
-    parser.add_argument("--out", type=Path, default=Path("out/bench-short"))
+    parser.add_argument("--out", type=Path, default=Path("out/bench-short"), help="keeps runs")
     parser.add_argument("--species", action="append", help="by default all packaged; repeatable")
+    parser.add_argument("--living", action="append", help="a published set; repeatable")
     parser.add_argument("--recipe", action="append", help=f"{by_default}; repeatable")
     parser.add_argument("--seed", action="append", type=int, help=f"{by_default}; repeatable")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--judge", action="store_true", help="only evaluate them once more")
     given = parser.parse_args()
     if given.judge:
-        return judge(
-            given.species or sorted(file.parent.name for file in FOLDER.glob(f"*/{METRICS}"))
-        )
+        own = {file.parent.name for file in FOLDER.glob(f"*/{METRICS}")} & {*packaged_names()}
+        return judge(given.species or sorted(own))
+    if given.living:
+        return make_living(given.out, given.living, given.seed or [0], given.processes)
     names = given.species or packaged_names()
     recipes, seeds = given.recipe or preset.recipes, given.seed or preset.seeds
     make(given.out, names, recipes, seeds, given.processes)

@@ -120,14 +120,20 @@ def evaluate_command(
     out=Option(help="Folder of the model."),
     demonstrations=Option(
         "--with-demonstrations",
-        help="Include the recordings; a model cannot be loaded without them.",
+        help="Include the recordings; without tracks a model cannot be loaded.",
+    ),
+    simulated=Option(
+        "--simulated", help="Include tracks that it simulates, in the place of the recordings."
     ),
 )
-def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
+def export_command(
+    run: Path, out: Path, demonstrations: bool = False, simulated: bool = False
+) -> None:
     """Export a trained policy with a model card; weights are safetensors, the rest is JSON.
 
     The folder loads like the run: animarl watch --model FOLDER, or in Python
-    animarl_algos.load_pretrained(FOLDER).
+    animarl_algos.load_pretrained(FOLDER). Where the recordings may not be given away, --simulated
+    makes it load without them.
 
     Example:
 
@@ -136,7 +142,7 @@ def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
     from animarl_algos.runs.pretrained import CARD, export_run
     from animarl_algos.runs.run import Run
 
-    folder = export_run(Run(run), out, with_demonstrations=demonstrations)
+    folder = export_run(Run(run), out, with_demonstrations=demonstrations, simulated=simulated)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
     PlainConsole(WIDTH).print(f"Wrote {folder} ({size:.2f} MB); read {folder / CARD}")
 
@@ -225,6 +231,7 @@ def whatif_command(
     )
     from animarl_algos.whatif.changes import CONDITION
     from animarl_algos.whatif.truth import find_truth
+    from animarl_envs.demos.summary import stand_in_note
 
     own = [name for name in measure or () if ":" in name]
     register_measures(own)
@@ -254,9 +261,7 @@ def whatif_command(
             permutations,
             lambda done: console.print(f"{done} of {permutations} networks of permuted conditions"),
         )
-    other = None
-    if second and not all(text.partition("=")[0].strip() == CONDITION for text in change):
-        other = second_run(loaded[0], console.print)
+    other = second_run(loaded[0], change, console.print) if second else None
     answers = ask(
         loaded,
         change,
@@ -276,6 +281,7 @@ def whatif_command(
         *answers.unmet.values(),
         f"Each mean is of {rollouts_note(answers)}; ± is the 95 % error of their chance",
         cut_note(answers),
+        stand_in_note(answers.demos),
         measures_note(answers),
     ]
     for sentence in filter(None, sentences):
@@ -287,7 +293,7 @@ def whatif_command(
 @with_help(
     run="A run folder, a packaged model ('fly'), or 'packaged'.",
     out="The HTML file.",
-    species="With 'packaged': agent, fly, newt or silkmoth.",
+    species="With 'packaged': agent, fly, newt, ...",
 )
 def page_command(run: Path, out: Path = Path("what-if.html"), species: str | None = None) -> None:
     """Write one HTML file that simulates the run's animals in a browser, offline.

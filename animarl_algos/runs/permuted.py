@@ -7,7 +7,7 @@ several ways, and only a change of it tells them apart.
 
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,9 @@ from animarl_algos.report.inputs import duration
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.pretrained import FOLDER as PACKAGED_MODELS
 from animarl_algos.runs.run import Run
+from animarl_algos.whatif.changes import CONDITION
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.summary import LEARNED_FROM
 from animarl_envs.errors import InputError
 from animarl_envs.importing.sets import cache_folder
 from animarl_envs.species.options import with_options
@@ -33,12 +35,16 @@ def second_folder(run: Run) -> Path:
     return cache_folder() / name if run.path.parent == PACKAGED_MODELS else run.path / "second"
 
 
-def second_run(run: Run, on_begin: Callable[[str], None]) -> Run | None:
+def second_run(run: Run, changes: Iterable[str], on_begin: Callable[[str], None]) -> Run | None:
     """Train a run's learner on the paper's inputs, at half the cost; a finished one is kept.
 
     ``on_begin`` is called before a training with a sentence: what is trained, where, how long.
-    Returns None if the run itself has these inputs, or its animals have no others.
+    Returns None if the ``changes`` are of conditions alone, the run itself has these inputs, its
+    animals have no others, or it came without the recordings that it learned from.
     """
+    of_conditions = all(text.partition("=")[0].strip() == CONDITION for text in changes)
+    if of_conditions or LEARNED_FROM in run.demos.provenance:
+        return None
     inputs = [
         [one.name for one in observation_components(species)]
         for species in (run.species, with_options(run.species, observation=OTHER_INPUTS))

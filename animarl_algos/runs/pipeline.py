@@ -41,6 +41,7 @@ from animarl_algos.runs.run_world import CELLS
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits, run_folds
+from animarl_envs.demos.summary import LEARNED_FROM
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.result import LocomotionFit, fit_locomotion
 from animarl_envs.importing.sets import read_named
@@ -230,7 +231,14 @@ def evaluate_run(run: Run, questions: Questions = AS_BUILT) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings.
 
     Of a run that was cross-validated, those of all folds are compared, with all recordings.
+
+    Raises InputError if the run is a model that came without its recordings.
     """
+    if LEARNED_FROM in run.demos.provenance:
+        raise InputError(
+            f"{run.path}: it has tracks of its own simulation, no recordings to compare it with: "
+            "see its card, README.md, or give recordings by --demos and --out"
+        )
     with run.lock(), run.timed("evaluation"):
         rollouts, folds = roll_out(run), run_set.trained_folds(run)
         for fold in folds[1:]:

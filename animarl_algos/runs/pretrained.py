@@ -13,6 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from animarl_algos.evaluation.comparison import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import FINDINGS, UNKNOWN
@@ -24,10 +26,13 @@ from animarl_algos.runs.evaluating import refuse_run_folder
 from animarl_algos.runs.run import DEMONSTRATIONS, Run
 from animarl_algos.runs.run_files import GIVEN, write_weights
 from animarl_algos.runs.run_settings import CHOSEN
+from animarl_algos.runs.stand_in import simulated_recordings
 from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
+from animarl_envs.importing.sets import published_sets
 from animarl_envs.scenario import PACKAGED
 from animarl_envs.species import species_name
 
@@ -88,6 +93,7 @@ def export_run(
     out: Path,
     *,
     with_demonstrations: bool = False,
+    simulated: bool = False,
     made_by: str | None = None,
     chosen: Mapping[str, float] | None = None,
 ) -> Path:
@@ -101,6 +107,9 @@ def export_run(
     with_demonstrations
         Copy the recordings as well. Without them others need the same file to load the model;
         packaged ones they have.
+    simulated
+        Put tracks that the policy simulates in the place of the recordings
+        (:func:`~animarl_algos.runs.stand_in.simulated_recordings`), so that others can load it.
     made_by
         The command, for the card; by default that of the run.
     chosen
@@ -116,6 +125,9 @@ def export_run(
         refuse_run_folder(out)
         if out.is_dir() and any(out.iterdir()):
             raise InputError(f"{out}: it holds something that is no model: name another --out")
+    if simulated and with_demonstrations:
+        raise InputError("recordings are included, or simulated tracks in their place: not both")
+    stand_in = simulated_recordings(run) if simulated else None
     verdict = Evaluation.load(run.path / "evaluation").verdict
     packaged = _is_packaged(run)
     # A path says more of somebody's disk than of the model.
@@ -134,9 +146,11 @@ def export_run(
         for name in copied:
             if (run.path / name).exists():
                 shutil.copyfile(run.path / name, part / name)
+        if stand_in is not None:
+            stand_in.save(part / DEMONSTRATIONS, dtype=np.float32)
         (part / "settings.json").write_text(json.dumps(record, indent=2) + "\n")
         (part / METRICS).write_text(json.dumps(metrics, indent=1) + "\n")
-        card = model_card(run, verdict, record, network.num_parameters, chosen or {})
+        card = model_card(run, verdict, record, network.num_parameters, chosen or {}, stand_in)
         (part / CARD).write_text(card, encoding="utf-8")
     return out
 
@@ -169,8 +183,12 @@ def model_card(
     record: Mapping[str, Any],
     parameters: int,
     chosen: Mapping[str, float],
+    stand_in: Demonstrations | None = None,
 ) -> str:
-    """Return data, licence, settings, metrics and limits of a trained model, as Markdown."""
+    """Return data, licence, settings, metrics and limits of a trained model, as Markdown.
+
+    ``stand_in`` are simulated tracks that it has in the place of its recordings.
+    """
     settings, demos, species = run.settings, run.demos, run.species
     words, lines, safe = Words.of(demos), "\n".join, escape_markdown
     kind = "synthetic, recorded from no animal" if demos.synthetic else "recorded"
@@ -178,25 +196,46 @@ def model_card(
     acting = f"`{settings.acting}`"
     if settings.acting == CHOSEN:
         acting = "chosen on training and validation episodes"
-    if chosen:
+    if len(chosen) > 1:
         acting += (
             ".\n- **Chosen** by mismatch of outcomes, durations, path lengths and speeds on "
             "validation episodes (the lower, the more alike): "
             + ", ".join(f"{name} {number:.3f}" for name, number in chosen.items())
+        )
+    title, source = species.title, demos.provenance.get("source") or demos.name
+    if published := published_sets().get(str(demos.provenance.get("set"))):
+        title = f"Living animals, {published.name}"
+        source = f"{published.title}; {published.citation}; {published.origin}"
+    tracks = ""
+    if stand_in is not None:
+        tracks = (
+            f"\n- **Tracks**: no recorded ones. Episodes start where {len(stand_in)} tracks in "
+            f"`{DEMONSTRATIONS}` do, which the model simulated: of the rollout from a recorded "
+            "start they leave out the first half, or the first second of a chase."
+        )
+    judged = (
+        "Rollouts from the starts of the test split; training and the choice of acting saw none of "
+        "it."
+    )
+    if folds := run.record.get("folds"):
+        judged = (
+            f"Cross-validated in {folds} folds: rollouts of {folds} simulators, each from the "
+            "starts of recordings that neither its training nor its choice of acting saw. The "
+            "model here is that of the first fold."
         )
     made_by = " ".join(str(record["command"]).replace("`", "'").split())
     questions = verdict_as_table(verdict, words)
     table = [questions.columns, ["---"] * len(questions.columns)]
     table += [row.cells for row in questions.groups[0].rows]
     return f"""\
-# {safe(species.title)}: {settings.algo}
+# {safe(title)}: {settings.algo}
 
 A policy of {safe(", ".join(species.individuals))} in `{environment_id(settings.species)}`, \
 trained with `{settings.algo}` (seed {settings.seed}, {parameters:,} parameters). Weights: \
 safetensors; everything else: JSON.
 
-- **Data**: {safe(demos.provenance.get("source") or demos.name)} ({kind}); episodes: {counts}; \
-fingerprint `{record["fingerprint"]}`.
+- **Data**: {safe(source)} ({kind}); episodes: {counts}; \
+fingerprint `{record["fingerprint"]}`.{tracks}
 - **Licence**: of the data {safe(demos.provenance.get("licence") or "not stated")}; of the weights \
 that of the data, of the code MIT.
 - **Made by** `{made_by}`, commit {safe(record["machine"]["commit"])}.
@@ -206,8 +245,7 @@ that of the data, of the code MIT.
 
 {safe(verdict_sentence(verdict, words))}
 
-Rollouts from the starts of the test split; training and the choice of acting saw none of it. \
-docs/faithful.md says how to read the table.
+{judged} docs/faithful.md says how to read the table.
 
 {lines(f"| {' | '.join(safe(cell) for cell in cells)} |" for cells in table)}
 

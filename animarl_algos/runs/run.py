@@ -638,17 +638,22 @@ class Run:
             state = (memory, np.maximum(actions[t], 0))
         return np.array(values, dtype=np.float64)
 
-    def what_if(self, *changes: str, fold: int | None = None, **options: Any) -> WhatIf:
+    def what_if(
+        self, *changes: str, fold: int | None = None, second: bool = False, **options: Any
+    ) -> WhatIf:
         """Ask what would happen in a changed world; see :func:`animarl_algos.whatif.answer.ask`.
 
         Of a run that was cross-validated, the simulators of all folds answer together; ``fold=1``
-        asks that of the run alone. ``changes`` are written as ``prey.speed=+20%``; ``options`` are
-        those of ``ask``.
+        asks that of the run alone. ``second=True`` asks a second simulator too, as the command
+        does by default: it is trained once, in minutes, and kept. ``changes`` are written as
+        ``prey.speed=+20%``; ``options`` are those of ``ask``.
         """
+        from animarl_algos.runs.permuted import second_run
         from animarl_algos.runs.run_set import ensemble
         from animarl_algos.whatif.answer import ask
 
-        return ask(ensemble(self, fold), changes, **options)
+        other = second_run(self, changes, print) if second else None
+        return ask(ensemble(self, fold), changes, second=other, **options)
 
 
 def _cue(model: SequenceQLearning) -> Cue | None:

@@ -21,7 +21,7 @@ from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
 from animarl_algos.whatif.quantities import quantities_of
 from animarl_algos.whatif.shifts import NO_INTERVAL
-from animarl_envs.demos.summary import unit_of
+from animarl_envs.demos.summary import stand_in_note, unit_of
 from animarl_envs.drawing import markdown_table
 from animarl_envs.files import all_files_or_none
 
@@ -93,7 +93,8 @@ def what_it_is(result: WhatIf) -> str:
     )
     truth = "" if result.truth is None else result.truth.description
     family = FAMILY.format(len(result.answers)) if len(result.answers) > 1 else ""
-    return " ".join(filter(None, [text, family, truth, cut_note(result)]))
+    notes = [text, family, truth, cut_note(result), stand_in_note(result.demos)]
+    return " ".join(filter(None, notes))
 
 
 def rollouts_note(result: WhatIf) -> str:

@@ -37,7 +37,7 @@ from animarl_algos.whatif.quantities import (
 )
 from animarl_envs.cells import CellLocomotion
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.summary import unit_of
+from animarl_envs.demos.summary import stand_in_note, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
@@ -97,7 +97,8 @@ def write_page(
     model = page_model(run)
     if title is not None:
         model["title"] = title
-    page = _fill(model, "" if folds == 1 else f"<p>{ONE_OF_FOLDS.format(folds=folds)}</p>")
+    note = "" if folds == 1 else f"<p>{ONE_OF_FOLDS.format(folds=folds)}</p>"
+    page = _fill(model, stand_in_note(run.demos) or SYNTHETIC, note)
     size = len(page.encode())
     if size > MOST_BYTES:
         raise InputError(
@@ -371,14 +372,16 @@ def _plume(species: SearchSpecies) -> dict[str, Any]:
     }
 
 
-def _fill(model: Mapping[str, Any], note: str) -> str:
+def _fill(model: Mapping[str, Any], origin: str, note: str) -> str:
     """Return the page: template, style, programs and data in one file."""
     folder = resources.files("animarl_algos.whatif") / "page"
     parts = {name: (folder / name).read_text(encoding="utf-8") for name in PARTS}
     data = json.dumps(model, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     texts = {
         "__TITLE__": html.escape(str(model["title"])),
-        "__ORIGIN__": f"<p><strong>{SYNTHETIC}</strong></p>" if model["synthetic"] else "",
+        "__ORIGIN__": f"<p><strong>{html.escape(origin)}</strong></p>"
+        if model["synthetic"]
+        else "",
         "__FOLDS__": note,
         "__STYLE__": parts["page.css"],
         "__ENGINE__": parts["measures.js"] + parts["engine.js"],

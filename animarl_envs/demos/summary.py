@@ -14,6 +14,12 @@ from animarl_envs.species import SPECIES
 
 RESTING_SHARE = 0.05  # of the 99th percentile of speed: below it an individual counts as resting
 OUTCOME_NAMES = {TIME_OUT: "time-out", TARGET_OUT: "target left", PURSUER_OUT: "a pursuer left"}
+LEARNED_FROM = "learned_from"
+"""Key of a provenance: the source of the recordings that simulated tracks stand for."""
+STAND_IN = (
+    "The recordings that this model learned from ({}) are not in it: in their place are tracks "
+    "that it simulated itself. How far it is from the animals is on its card alone."
+)
 TRACKING = (
     "untracked",
     "filled",
@@ -142,6 +148,12 @@ class Unit:
 
 RECORDED_SCALE = Unit("arena units", 1.0)
 METRES = Unit("m", 1.0)
+
+
+def stand_in_note(demos: Demonstrations) -> str:
+    """Return a sentence that says that tracks stand for recordings; empty if they do not."""
+    source = demos.provenance.get(LEARNED_FROM)
+    return STAND_IN.format(source) if source else ""
 
 
 def unit_of(demos: Demonstrations) -> Unit:

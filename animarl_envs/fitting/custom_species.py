@@ -40,6 +40,17 @@ SIDED, MIN_SIDED = 4.0, 8  # standard errors from left and right alike, of so ma
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 BEYOND_WALLS, MAY_BE_BEYOND = 0.03, 0.02  # sizes; share of frames that tracking errors put there
 
+STATED = "species"
+"""Key of a provenance: options of the species that were measured of other recordings."""
+MEASURED = (
+    "contact_radius",
+    "mirror_symmetric",
+    "senses_past",
+    "senses_time",
+    "time_limit",
+    "title",
+)
+
 _FITS: dict[tuple[str, str, int], Any] = {}
 
 
@@ -65,6 +76,7 @@ def species_of(
     - starts without a demonstration: in the inner half of the arena; no warm-up steps;
     - simulated animals differ from each other as recorded ones do (``species.traits``), unless
       they are synthetic;
+    - tracks that stand for recordings state what was measured of these (:func:`stated_options`);
     - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with its
       heading and its odour gets odour as recorded searchers did, and traits.
 
@@ -102,16 +114,30 @@ def species_of(
         cutting = _cutting(demos)  # do all episodes begin at the same event?
         apart = (cutting.get("mode"), cutting.get("start")) == ("approach", "separation")
         own["senses_time"] = apart and _seconds(cutting.get("keep_last")) == math.inf
+    own = {
+        "arena": arena_of(demos, name),
+        "time_limit": max(numbers.time_limit, longest, numbers.warmup + 1),
+    } | own
+    stated = dict(demos.provenance.get(STATED, {}))
+    if "traits" in stated:
+        arrays = {key: np.array(value) for key, value in stated["traits"].items()}
+        stated["traits"] = Traits(**arrays)
     return with_options(
         numbers,
         individuals=demos.individuals,
         dt=demos.dt,
-        arena=arena_of(demos, name),
         locomotion=locomotion,
-        time_limit=max(numbers.time_limit, longest, numbers.warmup + 1),
         conditions=conditions,
-        **own,
+        **own | stated,
     )
+
+
+def stated_options(species: ChaseSpecies) -> dict[str, Any]:
+    """Return what :func:`species_of` measures of recordings, for the provenance of other tracks."""
+    stated = {key: getattr(species, key) for key in MEASURED} | {"arena": dict(vars(species.arena))}
+    if species.traits is not None:
+        stated["traits"] = {key: value.tolist() for key, value in vars(species.traits).items()}
+    return stated
 
 
 def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:

@@ -22,13 +22,18 @@ from animarl_algos.cli.watch import prepare
 from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_observation
 from animarl_algos.recipes.registry import DQDIL, SoftBC
 from animarl_algos.runs import pipeline
+from animarl_algos.runs.permuted import second_run
 from animarl_algos.runs.pretrained import FOLDER, escape_markdown, export_run, pretrained_names
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
+from animarl_algos.runs.stand_in import simulated_recordings
 from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.demos.summary import stand_in_note, unit_of
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import stated_options
 
 LARGEST = 3_000_000  # [bytes]
+LIVING = {"termites_alone"}
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +164,26 @@ def test_recordings_are_given_away_only_when_asked_and_watched_with_their_file(
     assert answers(load_pretrained(out)) == answers(run.trained("soft-bc"))
 
 
+def test_simulated_tracks_stand_for_recordings(run: Run, tmp_path: Path) -> None:
+    out = export_run(run, tmp_path / "model", simulated=True)
+    model = load_run(out)
+    assert answers(model.policy) == answers(run.trained("soft-bc"))
+    assert stated_options(model.species) == stated_options(run.species)
+    assert model.demos.synthetic and set(model.demos.split) == {"train", "val", "test"}
+    recorded = {place.tobytes() for place in run.demos.positions.astype(np.float32)}
+    assert not any(
+        place.astype(np.float32).tobytes() in recorded for place in model.demos.positions
+    )
+    assert unit_of(model.demos) == unit_of(run.demos)
+    assert "no recorded ones" in (out / "README.md").read_text()
+    assert "it simulated itself" in stand_in_note(model.demos) and not stand_in_note(run.demos)
+    assert second_run(model, ["arena=x0.8"], print) is None
+    refuses("no recordings to compare it with", pipeline.evaluate_run, model)
+    refuses("not both", export_run, run, tmp_path / "m", simulated=True, with_demonstrations=True)
+    moth = load_run("silkmoth")
+    refuses("animals that search a source", simulated_recordings, moth)
+
+
 @pytest.mark.parametrize("order", [[1, 0, 2], [0, 2]])
 def test_recordings_of_other_individuals_are_refused(
     order: list[int], run: Run, tmp_path: Path
@@ -184,11 +209,20 @@ def test_the_command_exports_and_refuses(
 
 
 def test_packaged_models_are_small_and_hold_no_code() -> None:
-    assert set(pretrained_names()) == set(packaged_names()) - {"solo", "shoal"}
+    assert set(pretrained_names()) == (set(packaged_names()) - {"solo", "shoal"}) | LIVING
     for name in pretrained_names():
         files = [file for file in (FOLDER / name).rglob("*") if file.is_file()]
-        assert sum(file.stat().st_size for file in files) < LARGEST
-        assert {file.suffix for file in files} == {".json", ".md", ".safetensors"}
+        size = sum(file.stat().st_size for file in files)
+        assert size < (1_000_000 if name in LIVING else LARGEST)
+        tracks = {".npz"} if name in LIVING else set()
+        assert {file.suffix for file in files} == {".json", ".md", ".safetensors"} | tracks
+
+
+@pytest.mark.parametrize("name", sorted(LIVING))
+def test_living_models_hold_no_recorded_track(name: str) -> None:
+    run = load_run(name)
+    assert run.demos.provenance["learned_from"] and run.demos.synthetic
+    assert all(one.startswith("simulated") for one in run.demos.recording)
 
 
 @pytest.mark.parametrize("name", pretrained_names())
@@ -205,7 +239,8 @@ def test_packaged_models_act_in_their_world(name: str) -> None:
         taken.append(actions)
     assert len(np.unique(taken)) > 1 and np.isfinite(seen).all()
     card = (FOLDER / name / "README.md").read_text()
-    assert "synthetic" in card and "no animal" in card and "**Licence**" in card
+    assert ("simulated" in card) if name in LIVING else ("no animal" in card)
+    assert "**Licence**" in card
 
 
 def test_a_recipe_that_needs_the_simulator_and_is_given_none(tmp_path: Path) -> None:

@@ -451,6 +451,8 @@ def test_the_simulators_of_all_folds_answer_together(species: str, tmp_path: Pat
     assert "all 3 folds answer" in said and "A second simulator" in said
     table = pd.read_csv(tmp_path / "out" / "whatif.csv")
     assert table["second_shift"].notna().any()
+    python = run.what_if("arena=x1.1", repetitions=1, second=True).table
+    np.testing.assert_allclose(python["second_shift"], table["second_shift"])
     assert Run(run.path / "second").species.observation == "paper"
     np.testing.assert_allclose(table["changed"], together.table["changed"])
     said = animarl(*asked, "--change", "arena=x1.1", "--fold", "1")

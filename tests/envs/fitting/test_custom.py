@@ -1,5 +1,6 @@
 """``AnimaRL/Custom-v0``: any demonstrations become an environment at once."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,18 @@ from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.fitting import joint
-from animarl_envs.fitting.custom_species import contact_radius_of, species_of, takes_sides
+from animarl_envs.fitting.custom_species import (
+    STATED,
+    contact_radius_of,
+    species_of,
+    stated_options,
+    takes_sides,
+)
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH, ChaseSpecies, SearchSpecies
+from animarl_envs.species.traits import Traits
 from animarl_envs.views import AnimalVectorEnv
 from animarl_envs.worlds import observation_components
 from animarl_envs.worlds.chase.world import ChaseWorld
@@ -47,6 +55,18 @@ def test_registry_custom_works_with_any_number_of_pursuers(pursuers: int, tmp_pa
     assert everyone.possible_agents == list(dogs(pursuers).individuals)
     parallel_api_test(everyone, num_cycles=80)
     assert np.array_equal(everyone.reset(seed=5)[0]["dog_a"], env.reset(seed=5)[0])
+
+
+def test_tracks_that_stand_for_recordings_state_what_was_measured_of_them() -> None:
+    solo, bodies = load_packaged("solo"), [Locomotion(1.0, 1.0)]
+    recorded = replace(solo, species="custom", provenance={**solo.provenance, "synthetic": False})
+    traits = Traits(np.ones((2, 1, 2)), np.array([[np.inf, 0.5]]), np.zeros((9, 1, 2)))
+    species = replace(species_of(recorded, bodies), traits=traits)
+    assert isinstance(species, ChaseSpecies)
+    stated = json.loads(json.dumps(stated_options(species)))
+    few = replace(recorded.select([0]), provenance={**solo.provenance, STATED: stated})
+    again = species_of(few, bodies)
+    assert again == replace(species, recording=again.recording, source=again.source)
 
 
 def test_registry_custom_search_has_the_moths_senses() -> None:
