@@ -10,7 +10,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from animarl_algos.benchmark.paper import ADAPTED, JOINT, LEARNERS, ONSET, PAPER_STEPS, PaperCell
+from animarl_algos.benchmark.paper import (
+    ADAPTED,
+    JOINT,
+    LEARNERS,
+    ONSET,
+    PAPER_STEPS,
+    PaperCell,
+    Scope,
+)
 from animarl_algos.benchmark.paper_figures import (
     PLURALS,
     PRETRAINED,
@@ -155,15 +163,17 @@ def adapted_page(findings: Findings) -> dict[str, str]:
         clone, later = own[own["steps"] == 0]["value"].mean(), own[own["steps"] > 0]
         if later.empty or not np.isfinite(clone):
             continue
-        best = later.loc[later["value"].idxmax()]
+        real = later["value"]
         words.append(
-            f"{PLURALS[name]} {'more' if best['value'] > clone else 'less'} real than their clone "
-            f"({number(clone)}) at best, {method_label(best['learner'])} after {best['steps']:,} "
-            f"steps ({number(best['value'])})"
+            f"of {PLURALS[name]}, {(real > clone).sum()} of {len(real)} adapted clones are more "
+            f"real than the clone ({number(clone)}, adapted {number(real.min())} to "
+            f"{number(real.max())})"
         )
     sentence = "Whether adapting online helps is open here: none of its cells is finished."
     if words:
-        sentence = f"Adapting online makes {'; '.join(words)}."
+        sentence = f"Does adapting online help? By realism, {'; '.join(words)}."
+        if table["seeds"].min() < len(Scope().seeds):
+            sentence += " Some have one or two training seeds, which leaves that open."
     head = [*keys, REALISM, REACHED, "DTW distance"]
     return {"adapted": markdown_table(head, texts(table, keys, columns)), "headline": sentence}
 
