@@ -228,7 +228,7 @@ def run_command(**given: Any) -> None:
         console.print("This was a quick look: for a verdict to trust, run without --quick")
     folder, cells = shlex.quote(str(run.path)), run.environment_options.get(CELLS)
     console.print(
-        f"Next: animarl whatif {folder} --change {'speed' if cells else 'all.thrust'}=x1.2; the "
+        f"Next: animarl whatif {folder} --change {'speed' if cells else 'thrust'}=x1.2; the "
         f"same with sliders: animarl page {folder}; for a paper: animarl figure {folder}"
     )
 

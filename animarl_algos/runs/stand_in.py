@@ -71,7 +71,7 @@ def simulated_recordings(run: Run) -> Demonstrations:
             "source": f"simulated by a model that learned from {source}",
             "synthetic": True,
             LEARNED_FROM: source,
-            STATED: stated_options(species),
+            STATED: stated_options(species) | {"title": "Simulated animals"},
             "scales": dict.fromkeys(names, scale),
         },
     )

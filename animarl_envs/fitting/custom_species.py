@@ -42,14 +42,7 @@ BEYOND_WALLS, MAY_BE_BEYOND = 0.03, 0.02  # sizes; share of frames that tracking
 
 STATED = "species"
 """Key of a provenance: options of the species that were measured of other recordings."""
-MEASURED = (
-    "contact_radius",
-    "mirror_symmetric",
-    "senses_past",
-    "senses_time",
-    "time_limit",
-    "title",
-)
+MEASURED = ("contact_radius", "mirror_symmetric", "senses_past", "senses_time", "time_limit")
 
 _FITS: dict[tuple[str, str, int], Any] = {}
 

@@ -48,6 +48,7 @@ from animarl_algos.whatif.shifts import (
     widen_for_family,
 )
 from animarl_algos.whatif.thrust_search import ThrustSearch
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES, get_species
@@ -730,6 +731,16 @@ def test_simulators_of_others_can_enter(monkeypatch: pytest.MonkeyPatch) -> None
     assert np.isfinite(table["predicted"]).all() and path["predicted"] == 0.0
     assert path["miss"] == pytest.approx(-path["true"]) and path["clear"] and not path["covered"]
     refuses("make_nothing", entered_run, "agent", "methods:make_nothing", 0)
+
+
+def test_the_truth_of_a_removed_pursuer_stands_beside_the_answer() -> None:
+    run = load_run("fly")
+    few_of_each = [np.flatnonzero(run.demos.split == split)[:2] for split in SPLITS]
+    vars(run)["demos"] = run.demos.select(episodes=np.concatenate(few_of_each))
+    (one,) = answered([run], ("remove=male_1",), 1, None)
+    table = pd.DataFrame(rows("fly", [run], one)).set_index("quantity")
+    assert "speed of male_0" in table.index and "speed of male_1" not in table.index
+    assert np.isfinite(table[["true", "predicted", "miss"]].to_numpy()).all()
 
 
 @pytest.mark.parametrize("name", ["agent", "fly", "silkmoth"])
