@@ -51,7 +51,7 @@ def simulated_recordings(run: Run) -> Demonstrations:
     if species.free:
         left_out = np.maximum(1, rollouts.lengths // 2)
     kept = np.flatnonzero(rollouts.lengths - left_out >= Demonstrations.FEWEST_FRAMES)
-    paths = [rollouts.path(i) for i in kept]
+    paths = [rollouts.path(i) for i in kept.tolist()]
     first = left_out[kept]
     names = [f"simulated_{number:02d}" for number in range(len(kept))]
     provenance = {key: demos.provenance[key] for key in KEPT if key in demos.provenance}
