@@ -78,13 +78,13 @@ BUDGETS = {
     "animarl_algos.recipes": 820,
     "animarl_algos.replay": 5_600,
     "animarl_algos.report": 17_188,
-    "animarl_algos.runs": 16_173,
+    "animarl_algos.runs": 16_183,
     "animarl_algos.whatif": 20_777,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 17_880,
     "animarl_envs.demos": 9_264,
     "animarl_envs.drawing": 10_403,
-    "animarl_envs.fitting": 14_406,
+    "animarl_envs.fitting": 14_403,
     "animarl_envs.importing": 57_305,
     "animarl_envs.species": 6_970,
     "animarl_envs.views": 5_856,
@@ -96,7 +96,7 @@ ALL_TOKENS = 354_700
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 3_087
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
-TEST_LINES = 32_520
+TEST_LINES = 32_529
 """Most lines of Python in the tests; they are to be 24,000."""
 
 
