@@ -131,6 +131,9 @@ def _landmarks(given: Any) -> tuple[tuple[str, float, float], ...]:
     check_names("arena", "a landmark", names)
     if len(set(names)) < len(names):
         raise InputError(f"landmarks are {', '.join(names)}: give each a name of its own")
+    for name in names:
+        if not re.fullmatch(r"[\w .-]+", name):
+            raise InputError(f"landmark {name!r}: use letters, digits, blanks, points and hyphens")
     return tuple(landmarks)
 
 

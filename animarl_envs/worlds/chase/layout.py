@@ -99,10 +99,10 @@ class GroupSpec(NamedTuple):
                 entries.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0, ""))
         return entries
 
-    def describe(self, rank: int, name: str, direction: str) -> str:
-        """Return the description of an entry, of the individual itself (0) or of another."""
+    def describe(self, who: str, name: str, direction: str) -> str:
+        """Return the description of an entry of the individual, another or a landmark."""
         return (
-            self.description.replace("{who}", f"{{{rank}}}" if rank > 0 else "it")
+            self.description.replace("{who}", who)
             .replace("{name}", name)
             .replace("{way}", WAYS.get(direction, ""))
             .replace("{side}", SIDES.get(direction, ""))
@@ -347,14 +347,14 @@ class ChaseGroup(IntEnum):
     )
     # Each landmark
     LANDMARK_CIRCLE = GroupSpec(
-        "bearing {cosine|sine}", EGO, "1", "unit", "the landmark is in another direction", _ALWAYS
+        "bearing {cosine|sine}", EGO, "1", "unit", "{who} is in another direction", _ALWAYS
     )
     LANDMARK_DISTANCE = GroupSpec(
         "tanh of distance / size",
         "any",
         "1",
         "unit",
-        "the landmark is [nearer|farther]",
+        "{who} is [nearer|farther]",
         _ALWAYS,
     )
 
@@ -433,19 +433,20 @@ def observation_components(
     """
     spans, landmarks = ranges(species, fastest, farthest), species.arena.landmarks
 
-    def titled(rank: int, name: str) -> str:
-        if rank == 0:
-            return name
-        return f"other {rank} {name}" if rank > 0 else f"{landmarks[-1 - rank][0]} {name}"
+    def subject(rank: int) -> tuple[str, str]:
+        """Return how names of entries begin, and who is described."""
+        if rank < 0:
+            return f"{landmarks[-1 - rank][0]} ", landmarks[-1 - rank][0]
+        return (f"other {rank} ", f"{{{rank}}}") if rank else ("", "it")
 
     return tuple(
         ObservationComponent(
-            titled(rank, name),
+            subject(rank)[0] + name,
             group.frame,
             group.unit,
             *spans[group.range],
             sign=sign,
-            description=group.describe(rank, name, direction),
+            description=group.describe(subject(rank)[1], name, direction),
         )
         for rank, _, group in rows(species)
         for name, sign, direction in group.entries

@@ -67,6 +67,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"boundary_penalty": NAN}, "boundary_penalty is nan"),
     ("agent", {"arena": -1.0}, "arena size is -1.0"),
     ("agent", {"landmarks": {"stripe": "0"}}, "landmark 'stripe' is at '0': give x and y"),
+    ("agent", {"landmarks": {"a[b|c]": "0,1"}}, "landmark 'a[b|c]': use letters, digits"),
     ("silkmoth", {"landmarks": {"lamp": (0, 1)}}, "a searcher perceives no landmarks"),
     ("agent", {"arena": "triangle"}, "arena is 'triangle': choose square, disc"),
     ("agent", {"arena": {"form": "disc"}}, "arena has no 'form'"),

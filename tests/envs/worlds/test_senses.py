@@ -84,6 +84,7 @@ def test_landmarks_are_perceived_by_direction_and_distance_until_they_are_remove
         made.reset()
         names = [one.name for one in made.observation_components][-6:]
         assert names[0] == "stripe bearing cosine" and names[5] == "lamp tanh of distance / size"
+        assert made.observation_components[-4].description == "stripe is [nearer|farther]"
         lamp = [-(0.5**0.5), 0.5**0.5, math.tanh(0.5)]
         assert made.observation[0, 0, -6:] == pytest.approx([*stripe, *lamp], abs=1e-6)
 
