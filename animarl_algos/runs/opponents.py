@@ -15,7 +15,7 @@ from animarl_algos.runs.run import Run
 from animarl_envs.array_types import Ints
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
-from animarl_envs.species import get_species
+from animarl_envs.species import SPECIES
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase.world import ChaseWorld
 from animarl_envs.worlds.streams import draw_uniforms
@@ -93,7 +93,8 @@ class PackagedOpponents:
 @cache
 def _load_packaged(species: str) -> Run:
     """Load the packaged model of a species that has several individuals."""
-    models = [name for name in pretrained_names() if get_species(name).num_individuals > 1]
+    known = pretrained_names()
+    models = [name for name in SPECIES if name in known and SPECIES[name].num_individuals > 1]
     if species not in models:
         raise InputError(
             f"others is 'packaged', but no network of {species} comes with the package, only of "
