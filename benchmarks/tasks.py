@@ -68,7 +68,7 @@ STEPS = {
 }
 """Steps of training, the same for both learners; those of a task hold for its other pursuers.
 Those of a male fly were chosen by pilots of PPO with seeds 10 to 12; those of females are what time
-allowed, near the end of what a longer training adds."""
+allowed: a longer training still adds a little."""
 SETTINGS: dict[str, Any] = {
     "n_steps": ROLLOUT, "batch_size": 2048, "n_epochs": 5, "gamma": 0.998, "gae_lambda": 0.95,
     "learning_rate": 1e-3, "ent_coef": 0.005, "device": "cpu",

@@ -141,7 +141,7 @@ def _refuse_beside_finished(file: Path, context: typer.Context) -> None:
     idle = [
         (own.secondary_opts if context.params[own.name] is False else own.opts)[0]
         for own in context.command.params
-        if own.name not in OF_FINISHED and context.params.get(own.name or "") is not None
+        if own.name not in OF_FINISHED and context.params.get(own.name or "") not in (None, [], ())
     ]
     if idle:
         raise InputError(

@@ -99,10 +99,10 @@ class GroupSpec(NamedTuple):
                 entries.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0, ""))
         return entries
 
-    def describe(self, who: str, name: str, direction: str) -> str:
+    def describe(self, subject: str, name: str, direction: str) -> str:
         """Return the description of an entry of the individual, another or a landmark."""
         return (
-            self.description.replace("{who}", who)
+            self.description.replace("{who}", subject)
             .replace("{name}", name)
             .replace("{way}", WAYS.get(direction, ""))
             .replace("{side}", SIDES.get(direction, ""))
