@@ -113,7 +113,7 @@ def species_of(
     } | own
     stated = dict(demos.provenance.get(STATED, {}))
     if "traits" in stated:
-        arrays = {key: np.array(value) for key, value in stated["traits"].items()}
+        arrays = {key: np.array(value, dtype=float) for key, value in stated["traits"].items()}
         stated["traits"] = Traits(**arrays)
     return with_options(
         numbers,

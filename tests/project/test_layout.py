@@ -84,7 +84,7 @@ BUDGETS = {
     "animarl_envs": 17_893,
     "animarl_envs.demos": 9_264,
     "animarl_envs.drawing": 10_403,
-    "animarl_envs.fitting": 14_403,
+    "animarl_envs.fitting": 14_410,
     "animarl_envs.importing": 57_305,
     "animarl_envs.species": 6_970,
     "animarl_envs.views": 5_856,
