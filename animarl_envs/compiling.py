@@ -271,7 +271,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         target = shipped_target() if own is None and self.takes_shipped else None
         if target is None:
             return own
-        folder = SHIPPED / Path(self.cache_path).relative_to(Path(self.cache_path).parents[1])
+        folder = SHIPPED.joinpath(*Path(self.cache_path).parts[-2:])  # key of sources, module
         file: Any = IndexDataCacheFile(str(folder), self._impl.filename_base, "")  # type: ignore[no-untyped-call]
         data = file.load(self._index_key(signature, target))  # type: ignore[no-untyped-call]
         return None if data is None else self._impl.rebuild(context, data)

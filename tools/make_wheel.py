@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -40,7 +41,10 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for the wheel.")] = Path("dist"),
 ) -> None:
     """Build the source archive, compile its kernels, and build the wheel of both."""
-    cpu, features = PROCESSORS[platform.machine()]
+    machine = platform.machine()
+    if machine not in PROCESSORS:
+        sys.exit(f"machine {machine}: no wheel is known for it: add it to PROCESSORS in {__file__}")
+    cpu, features = PROCESSORS[machine]
     target = Target(llvm.get_process_triple(), cpu, features)
     with TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -60,9 +64,10 @@ def main(
             f"--python-tag=cp{sysconfig.get_config_var('py_version_nodot')}",
         )
         options = [f"--config-setting=--build-option={tag}" for tag in tags]
-        _run("-m", "build", "--wheel", "--outdir", str(out.resolve()), *options, cwd=source)
-    size = sum(path.stat().st_size for path in out.glob("*.whl")) / 1e6
-    print(f"{', '.join(path.name for path in out.glob('*.whl'))}: {size:.1f} MB")
+        _run("-m", "build", "--wheel", "--outdir", temporary, *options, cwd=source)
+        (wheel,) = folder.glob("*.whl")
+        out.mkdir(parents=True, exist_ok=True)
+        print(f"{shutil.copy(wheel, out)}: {wheel.stat().st_size / 1e6:.1f} MB")
 
 
 def _run(*arguments: str, cwd: Path, **environment: str) -> None:

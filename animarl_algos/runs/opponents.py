@@ -17,7 +17,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SPECIES
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.chase.world import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld, observing_world
 from animarl_envs.worlds.streams import draw_uniforms
 
 
@@ -49,15 +49,14 @@ class PackagedOpponents:
         learned: Any = run.policy.get_env()
         assert not (policy.recurrent or policy.q_net.previous_action)
         arena = replace(species.arena, rebound=run.species.arena.rebound)
-        seen = replace(species, observation=run.species.observation, arena=arena)
+        seen: Any = replace(species, observation=run.species.observation, arena=arena)
         count = species.num_individuals
-        still = Scenario(species=seen, start=np.zeros((count, 2)), drivers=("action",) * count)
-        self._senses = ChaseWorld(still, num_copies, driven)
+        self._senses = observing_world(seen, num_copies, driven)
         if _interface(self._senses) != _interface(learned.world):
             raise InputError(
                 f"others='packaged' drives {', '.join(run.species.individuals)} as they come with "
-                f"the package, but options changed who there is in {species.name}, their actions "
-                "or senses: leave these options out, or choose 'scripted' or a function"
+                f"the package, but options changed {species.name}'s individuals, their actions or "
+                "senses: leave these options out, or choose 'scripted' or a function"
             )
         self._flagged = learned.condition_flag
         self._actor = CompiledActor(policy.q_net)

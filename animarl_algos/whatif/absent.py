@@ -26,7 +26,7 @@ from animarl_envs.scenario import Condition, Scenario
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-from animarl_envs.worlds.chase.world import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld, observing_world
 
 DISTANCE_QUANTILE = 0.95  # quantile of the distances of pursuers from the target in training
 # Times the distance of the nearest pursuer: at the same distance, rounding would order the two.
@@ -150,12 +150,7 @@ class FewerWorld(ChaseWorld):
         number, self._farthest = present.everybody.num_individuals, farthest
         self._own = list(present.own)
         self._absent = [i for i in range(number) if i not in self._own]
-        still = Scenario(
-            species=present.everybody,
-            start=np.full((number, 2), (present.everybody.arena.size, 0.0)),
-            drivers=("action",) * number,
-        )
-        self._everybody = ChaseWorld(still, num_copies, self._own)
+        self._everybody = observing_world(present.everybody, num_copies, self._own)
 
     def _start(self, mask: Bools) -> None:
         super()._start(mask)

@@ -20,6 +20,9 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+ZERO: Any = np.float32(0.0)
+ONE: Any = np.float32(1.0)
+TWO: Any = np.float32(2.0)
 _TO_UNIT = 1.0 / 9007199254740992.0  # 2^-53
 
 
@@ -85,15 +88,15 @@ _ONE_BITS, _FRACTION, _SHIFT, _BIAS = (
     np.int32(23),
     np.int32(127),
 )
-_LN2, _ONE = np.float32(math.log(2.0)), np.float32(1.0)
+_LN2 = np.float32(math.log(2.0))
 _L3, _L5, _L7, _L9, _L11 = (np.float32(2.0 / k) for k in (3, 5, 7, 9, 11))
-_TWO, _THREE = np.float32(2.0), np.float32(3.0)
+_THREE = np.float32(3.0)
 
 
 @nb.njit(inline="always")
 def bounded(x):  # type: ignore[no-untyped-def]
     """Return a float32 that rounding may have taken out of [-1, 1]."""
-    return min(max(x, -_ONE), _ONE)
+    return min(max(x, -ONE), ONE)
 
 
 @nb.njit(inline="always")
@@ -101,14 +104,14 @@ def tanh_of(x):  # type: ignore[no-untyped-def]
     """Return ``tanh(x)`` of float32 within 4e-7; odd in ``x``, and 1 at most."""
     z = min(max(x, -_MOST), _MOST)
     s = z * z
-    above = _ONE + s * (_T1 + s * (_T2 + s * (_T3 + s * (_T4 + s * _T5))))
-    return bounded(z * above / (_ONE + s * (_U1 + s * (_U2 + s * _U3))))
+    above = ONE + s * (_T1 + s * (_T2 + s * (_T3 + s * (_T4 + s * _T5))))
+    return bounded(z * above / (ONE + s * (_U1 + s * (_U2 + s * _U3))))
 
 
 @nb.njit(inline="always")
 def tanh_tripled(t):  # type: ignore[no-untyped-def]
     """Return ``tanh(3 a)`` of ``t = tanh(a)``, float32."""
-    return bounded(t * (_THREE + t * t) / (_ONE + _THREE * t * t))
+    return bounded(t * (_THREE + t * t) / (ONE + _THREE * t * t))
 
 
 @nb.njit(inline="always")
@@ -117,13 +120,13 @@ def log_of(x):  # type: ignore[no-untyped-def]
     bits = np.float32(x).view(np.int32)
     exponent = np.float32((bits >> _SHIFT) - _BIAS)
     mantissa = np.int32((bits & _FRACTION) | _ONE_BITS).view(np.float32)
-    s = (mantissa - _ONE) / (mantissa + _ONE)  # log m = 2 artanh s, s up to 1/3
+    s = (mantissa - ONE) / (mantissa + ONE)  # log m = 2 artanh s, s up to 1/3
     q = s * s
-    return exponent * _LN2 + s * (_TWO + q * (_L3 + q * (_L5 + q * (_L7 + q * (_L9 + q * _L11)))))
+    return exponent * _LN2 + s * (TWO + q * (_L3 + q * (_L5 + q * (_L7 + q * (_L9 + q * _L11)))))
 
 
 _HALF_PI, _PI = np.float32(math.pi / 2.0), np.float32(math.pi)
-_TINY, _ZERO = np.float32(1e-30), np.float32(0.0)
+_TINY = np.float32(1e-30)
 
 
 def _coefficients(terms: int) -> list[np.float32]:
@@ -147,5 +150,5 @@ def angle_of(x, y):  # type: ignore[no-untyped-def]
     high = _C4 + s * (_C5 + s * (_C6 + s * _C7))
     angle = z * (_C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * high))))
     angle = _HALF_PI - angle if up > across else angle
-    angle = _PI - angle if x < _ZERO else angle
+    angle = _PI - angle if x < ZERO else angle
     return math.copysign(angle, y)

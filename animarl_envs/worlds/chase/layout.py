@@ -434,7 +434,7 @@ def observation_components(
     spans, landmarks = ranges(species, fastest, farthest), species.arena.landmarks
 
     def subject(rank: int) -> tuple[str, str]:
-        """Return how names of entries begin, and who is described."""
+        """Return how names of entries begin, and what is described."""
         if rank < 0:
             return f"{landmarks[-1 - rank][0]} ", landmarks[-1 - rank][0]
         return (f"other {rank} ", f"{{{rank}}}") if rank else ("", "it")

@@ -21,6 +21,7 @@ import numpy as np
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import inline_kernel, jit
 from animarl_envs.locomotion import ACTION_VECTORS, NUM_DIRECTIONS
+from animarl_envs.worlds.streams import ONE, TWO, ZERO
 
 SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
 LOOKS = 3  # a target looks ahead by thirds of the time in which its thrust carries it half a size
@@ -40,9 +41,6 @@ COST = 22 * BLOCK  # of the pushes and of none
 PURSUERS, PURSUER = COST + (NUM_DIRECTIONS + 1) * BLOCK, 3 * LOOKS * BLOCK
 _C: Any = np.float32(ACTION_VECTORS[1, 0])
 _S: Any = np.float32(0.5)
-_ZERO: Any = np.float32(0.0)
-_ONE: Any = np.float32(1.0)
-_TWO: Any = np.float32(2.0)
 _TINY, _MOST = np.float32(1e-9), np.float32(np.finfo(np.float32).max)
 _SOFT: Any = np.float32(SOFTENING)
 _STEEP: Any = np.float32(math.sqrt(WALL_WEIGHT) / WALL_MARGIN)  # (_STEEP * depth)^2 is the cost
@@ -108,7 +106,7 @@ def decide(  # type: ignore[no-untyped-def]
                 if j > first:
                     _keep_nearer(count, scratch)
         if flees:
-            rim = np.float32(_STEEP * (hole * scale + WALL_MARGIN)) if hole > 0.0 else _ZERO
+            rim = np.float32(_STEEP * (hole * scale + WALL_MARGIN)) if hole > 0.0 else ZERO
             _flee(shape, rim, reach[i], pushes[i], pairs, count, scratch)
         else:
             _intercept(shape, contact, reach[i], reach[first], pushes[i], count, scratch)
@@ -184,13 +182,13 @@ def _aim(shape, farthest, carried, their_reach, count, scratch):  # type: ignore
     for b in range(count):
         x = scratch[OTHER + b] + their_carried * scratch[OTHER + 2 * BLOCK + b]
         y = scratch[OTHER + BLOCK + b] + their_carried * scratch[OTHER + 3 * BLOCK + b]
-        x += their_pushed * min(_ONE, max(-_ONE, scratch[OTHER + 4 * BLOCK + b]))
-        y += their_pushed * min(_ONE, max(-_ONE, scratch[OTHER + 5 * BLOCK + b]))
+        x += their_pushed * min(ONE, max(-ONE, scratch[OTHER + 4 * BLOCK + b]))
+        y += their_pushed * min(ONE, max(-ONE, scratch[OTHER + 5 * BLOCK + b]))
         if shape == SQUARE:
-            x = min(_ONE, max(-_ONE, x))
-            y = min(_ONE, max(-_ONE, y))
+            x = min(ONE, max(-ONE, x))
+            y = min(ONE, max(-ONE, y))
         elif shape == DISC:
-            within = _ONE / max(_ONE, math.sqrt(x * x + y * y))
+            within = ONE / max(ONE, math.sqrt(x * x + y * y))
             x *= within
             y *= within
         x -= scratch[OWN + b] + carried * scratch[OWN + 2 * BLOCK + b]
@@ -239,12 +237,12 @@ def _place_pursuer(reach, own_reach, count, scratch, out):  # type: ignore[no-un
     for b in range(count):
         x = scratch[OWN + b] - scratch[OTHER + b]
         y = scratch[OWN + BLOCK + b] - scratch[OTHER + BLOCK + b]
-        per_distance = _ONE / (math.sqrt(x * x + y * y) + _TINY)
+        per_distance = ONE / (math.sqrt(x * x + y * y) + _TINY)
         scratch[OTHER + 4 * BLOCK + b] = x * per_distance
         scratch[OTHER + 5 * BLOCK + b] = y * per_distance
     for look in range(LOOKS):
         carried, pushed = reach[look, 0], reach[look, 1]
-        own_carried, twice = own_reach[look, 0], _TWO * own_reach[look, 1]
+        own_carried, twice = own_reach[look, 0], TWO * own_reach[look, 1]
         at = out[3 * look * BLOCK :]
         for b in range(count):
             x = scratch[OWN + b] + own_carried * scratch[OWN + 2 * BLOCK + b]
@@ -273,7 +271,7 @@ def _flee(shape, rim, reach, pushes, pairs, count, scratch):  # type: ignore[no-
         elif shape == DISC:
             _cost_walls(DISC, rim, carried, pushed, count, scratch)
         else:
-            scratch[COST:PURSUERS] = _ZERO
+            scratch[COST:PURSUERS] = ZERO
         for pair in range(pairs):
             for look in range(LOOKS):
                 row = PURSUERS + (2 * pair * LOOKS + look) * 3 * BLOCK
@@ -308,14 +306,14 @@ def _cost_walls(shape, rim, carried, pushed, count, scratch):  # type: ignore[no
 @nb.njit(inline="always")
 def _depth(shape, rim, x, y):  # type: ignore[no-untyped-def]
     """Return the squared depth of a place in the margin of the walls."""
-    depth = _ZERO
+    depth = ZERO
     if shape == SQUARE:
         depth_x = x - min(_INSIDE, max(-_INSIDE, x))
         depth_y = y - min(_INSIDE, max(-_INSIDE, y))
         depth = depth_x * depth_x + depth_y * depth_y
     elif shape == DISC:
         out = math.sqrt(x * x + y * y)
-        depth = max(_ZERO, out - _INSIDE, rim - out)
+        depth = max(ZERO, out - _INSIDE, rim - out)
         depth *= depth
     return depth
 

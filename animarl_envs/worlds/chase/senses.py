@@ -43,7 +43,16 @@ from animarl_envs.worlds.chase.neighbours import (
     look,
     look_around,
 )
-from animarl_envs.worlds.streams import angle_of, bounded, log_of, tanh_of, tanh_tripled
+from animarl_envs.worlds.streams import (
+    ONE,
+    TWO,
+    ZERO,
+    angle_of,
+    bounded,
+    log_of,
+    tanh_of,
+    tanh_tripled,
+)
 
 FINE, FINE_PAST, FINE_MEMORY = map(
     int, (ChaseGroup.FINE, ChaseGroup.FINE_SHORT, ChaseGroup.FINE_MEMORY)
@@ -51,12 +60,7 @@ FINE, FINE_PAST, FINE_MEMORY = map(
 ON_COURSE, SPANS = MEMORY.index(COURSE), len(MEMORY)
 SQUARE = SHAPE_CODES["square"]
 # What ends in float32 is computed in it: a vector instruction takes eight copies, of float64 four.
-_ZERO: Any = np.float32(0.0)
-_ONE: Any = np.float32(1.0)
-_TWO: Any = np.float32(2.0)
 _THIRD: Any = np.float32(1.0 / 3.0)
-_REST: Any = np.float32(REST)
-_FAINT: Any = np.float32(FAINT)
 
 
 class ChaseSenses(NamedTuple):
@@ -130,7 +134,7 @@ def observe(  # type: ignore[no-untyped-def]
     ``neighbours`` is scratch, and so is of ``bodies`` what is not a state.
 
     ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust, ``past``
-    ``(scales, K, 2, B)`` are mean velocities (module ``past``), none where they are not seen, and
+    ``(scales, K, 2, B)`` are mean velocities (:func:`remember`), none where they are not seen, and
     ``steps`` ``(B,)`` count from the start. The first of the others is the focus; see
     :data:`animarl_envs.focus.FALLBACK` for distance zero. ``free`` is None where there is a focus,
     so that each has its course for it and sees its nearest few; ``full`` where only the compact
@@ -284,12 +288,12 @@ def _observe_more_of_others(  # type: ignore[no-untyped-def]
         if bearing_at != ABSENT:
             for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
-                observation[i, bearing_at, b] = _ZERO if rank < faced else angle_of(ahead, left)
+                observation[i, bearing_at, b] = ZERO if rank < faced else angle_of(ahead, left)
         if rank >= faced and first[row, ChaseGroup.BEARING_CIRCLE] != ABSENT:
             _observe_direction_of(i, rank, others, towards, first, observation)
         if inverse_at != ABSENT:
             for b in range(B):
-                observation[i, inverse_at, b] = _ONE / np.float32(others[rank, APART, b] + near)
+                observation[i, inverse_at, b] = ONE / np.float32(others[rank, APART, b] + near)
         _put_plane(i, first[row, ChaseGroup.OFFSET], others, rank, DX, 1.0, observation)
         if place != ABSENT:
             for x in range(2):
@@ -309,8 +313,8 @@ def _observe_direction_of(i, rank, others, towards, first, observation):  # type
         apart = np.float32(others[rank, APART, b])
         ex = np.float32(towards[i, 0, b])
         ey = np.float32(towards[i, 1, b])
-        ux = np.float32(others[rank, DX, b]) / apart if apart > _ZERO else ex
-        uy = np.float32(others[rank, DY, b]) / apart if apart > _ZERO else ey
+        ux = np.float32(others[rank, DX, b]) / apart if apart > ZERO else ex
+        uy = np.float32(others[rank, DY, b]) / apart if apart > ZERO else ey
         if plane != ABSENT:
             observation[i, plane, b] = ux
             observation[i, plane + 1, b] = uy
@@ -396,7 +400,7 @@ def observe_own(  # type: ignore[no-untyped-def]
     if first[0, ChaseGroup.COURSE] != ABSENT:
         course, push = first[0, ChaseGroup.COURSE], first[0, ChaseGroup.PUSH]
         _observe_direction(i, velocity, towards, course, np.float32(FAINT * stride), observation)
-        _observe_direction(i, acceleration, towards, push, _FAINT, observation)
+        _observe_direction(i, acceleration, towards, push, np.float32(FAINT), observation)
     at = first[0, ChaseGroup.TIME]
     if at != ABSENT:  # recordings may go on beyond the limit
         for b in range(B):
@@ -450,7 +454,7 @@ def _observe_scales(i, velocity, towards, first, at, stride, observation):  # ty
         observation[i, coarse + 1, b] = left
         observation[i, fine, b] = tanh_tripled(ahead)
         observation[i, fine + 1, b] = tanh_tripled(left)
-        observation[i, log, b] = log_of(math.sqrt(vx * vx + vy * vy) + _REST)
+        observation[i, log, b] = log_of(math.sqrt(vx * vx + vy * vy) + np.float32(REST))
 
 
 @inline_kernel
@@ -459,18 +463,18 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
     for b in range(vector.shape[2]):
         ahead, left = egocentric(vector[i, 0, b], vector[i, 1, b], i, b, towards)
         length = math.sqrt(ahead * ahead + left * left)
-        per_length = _ONE / length if length > _ZERO else _ZERO
+        per_length = ONE / length if length > ZERO else ZERO
         x = ahead * per_length
         y = left * per_length
         clear = length / (length + faint)
         x2 = x * x - y * y
-        y2 = _TWO * x * y
+        y2 = TWO * x * y
         observation[i, at, b] = clear * bounded(x2)
         observation[i, at + 1, b] = clear * bounded(y2)
         observation[i, at + 2, b] = clear * bounded(x2 * x - y2 * y)
         observation[i, at + 3, b] = clear * bounded(x2 * y + y2 * x)
         observation[i, at + 4, b] = clear * bounded(x2 * x2 - y2 * y2)
-        observation[i, at + 5, b] = clear * bounded(_TWO * x2 * y2)
+        observation[i, at + 5, b] = clear * bounded(TWO * x2 * y2)
 
 
 # -- walls ----------------------------------------------------------------------------------------
@@ -501,12 +505,12 @@ def observe_wall(  # type: ignore[no-untyped-def]
         if shape == SQUARE:
             sideways = abs(x) >= abs(y)
             out = abs(x) if sideways else abs(y)
-            nx = math.copysign(_ONE, x) if sideways else _ZERO
-            ny = _ZERO if sideways else math.copysign(_ONE, y)
+            nx = math.copysign(ONE, x) if sideways else ZERO
+            ny = ZERO if sideways else math.copysign(ONE, y)
         else:
             out = np.sqrt(x * x + y * y)
-            nx = x / out if out > _ZERO else ex
-            ny = y / out if out > _ZERO else ey
+            nx = x / out if out > ZERO else ex
+            ny = y / out if out > ZERO else ey
         near = far - out
         if hole > 0.0 and out - within < near:
             near, nx, ny = out - within, -nx, -ny

@@ -189,6 +189,19 @@ class ChaseWorld(World):
         return {"headings": self.heading[copy].copy()} if self._species.has_headings else {}
 
 
+def observing_world(
+    species: ChaseSpecies, num_copies: int, observers: Iterable[int] | None = None
+) -> ChaseWorld:
+    """Return a world that makes observations of states that are given, and is never stepped.
+
+    Its individuals start at the edge, since a ring has no middle.
+    """
+    count = species.num_individuals
+    start = np.full((count, 2), (species.arena.size, 0.0))
+    still = Scenario(species=species, start=start, drivers=("action",) * count)
+    return ChaseWorld(still, num_copies, observers)
+
+
 def observe(
     species: ChaseSpecies,
     position: Floats,
@@ -206,13 +219,10 @@ def observe(
     none; a species without headings does not look at them. ``traits`` ``(frames, K, 2)`` are by
     default those of the mean individual [sd].
     """
-    frames, K, _ = position.shape
+    frames = len(position)
     acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
     steps = np.zeros(frames, dtype=np.int64) if steps is None else steps
-    still = Scenario(
-        species=species, start=np.full((K, 2), (species.arena.size, 0.0)), drivers=("action",) * K
-    )
-    world = ChaseWorld(still, frames)  # a copy for each frame
+    world = observing_world(species, frames)  # a copy for each frame
     world.position[:], world.velocity[:], world.acceleration[:] = position, velocity, acceleration
     if species.has_headings:
         world.heading[:] = recorded_bodies(species, position, velocity, steps, heading).heading.T

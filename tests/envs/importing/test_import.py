@@ -326,8 +326,8 @@ def test_packaged_sets_are_known_by_name_where_no_such_file_is(tmp_path: Path) -
     said = animarl("data", "show", "agent")
     assert "SYNTHETIC" in said and "prey (target)" in said
     assert "predator_0" in animarl("fit", "agent", "--bootstrap", 0)
-    told = "no such file, packaged are agent.* and published sets are termites"
-    refuses(told, animarl, "data", "show", tmp_path / "absent.npz")
+    refusal = "no such file, packaged are agent.* and published sets are termites"
+    refuses(refusal, animarl, "data", "show", tmp_path / "absent.npz")
 
 
 def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
