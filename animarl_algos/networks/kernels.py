@@ -1,7 +1,8 @@
 """Compiled loops for float32 on the CPU: the GRU, and the last layer for one action a row.
 
 At 32 units an update through tensor operations spends most of its time starting them; these loops
-run the same equations (see :mod:`animarl_algos.networks.layers`) row by row, everything in cache.
+run the same equations (see :mod:`animarl_algos.networks.layers`) step by step, everything in cache,
+with a product of the BLAS for all rows of a step.
 """
 
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from typing import Any
 
 import numba as nb
 import numpy as np
+import scipy.linalg.cython_blas  # noqa: F401 (of the products; limits reach what is loaded)
 import torch
 from numpy.typing import NDArray
 
@@ -83,30 +85,23 @@ def sigmoid_float32(x):  # type: ignore[no-untyped-def]
 def _forward(gates, hidden_n, hidden, state, weight, bias, active, scratch):  # type: ignore[no-untyped-def]
     individuals, _, units = hidden.shape
     for k in range(individuals):
-        start = 0
-        start_before = 0
-        for t in range(len(active)):
-            for b in range(active[t]):
-                before = state[k, b] if t == 0 else hidden[k, start_before + b]
+        start, before = 0, state[k]
+        for rows in active:
+            from_state = scratch[:rows]
+            np.dot(before[:rows], weight[k], from_state)
+            for b in range(rows):
                 gate = gates[k, start + b]
-                from_state = scratch
-                for j in range(3 * units):
-                    from_state[j] = bias[k, 0, j]
-                for i in range(units):
-                    h = before[i]
-                    for j in range(3 * units):
-                        from_state[j] += h * weight[k, i, j]
                 for j in range(2 * units):
-                    gate[j] = sigmoid_float32(gate[j] + from_state[j])
+                    gate[j] = sigmoid_float32(gate[j] + (from_state[b, j] + bias[k, 0, j]))
                 for j in range(units):
-                    h_n = from_state[2 * units + j]
+                    h_n = from_state[b, 2 * units + j] + bias[k, 0, 2 * units + j]
                     n = tanh_float32(gate[2 * units + j] + gate[j] * h_n)
                     z = gate[units + j]
                     gate[2 * units + j] = n
                     hidden_n[k, start + b, j] = h_n
-                    hidden[k, start + b, j] = n + z * (before[j] - n)
-            start_before = start
-            start += active[t]
+                    hidden[k, start + b, j] = n + z * (before[b, j] - n)
+            before = hidden[k, start : start + rows]
+            start += rows
 
 
 @jit(fastmath={"contract", "nsz"})
@@ -119,37 +114,38 @@ def _backward(  # type: ignore[no-untyped-def]
     weight_back,
     active,
     grad_gates,
-    grad_hidden_n,
+    grad_from_state,
     carried,
+    scratch,
 ):
-    individuals, rows, units = hidden.shape
+    individuals, end_of_all, units = hidden.shape
     for k in range(individuals):
-        end = rows
+        end = end_of_all
         for t in range(len(active) - 1, -1, -1):
-            start = end - active[t]
+            rows = active[t]
+            start = end - rows
             start_before = start - active[t - 1] if t > 0 else 0
-            for b in range(active[t]):
+            for b in range(rows):
                 row = start + b
                 before = state[k, b] if t == 0 else hidden[k, start_before + b]
+                to_gate, to_state = grad_gates[k, row], grad_from_state[k, row]
                 for j in range(units):
                     r = gates[k, row, j]
                     z = gates[k, row, units + j]
                     n = gates[k, row, 2 * units + j]
                     total = grad_hidden[k, row, j] + carried[k, b, j]
                     d_n = total * (_ONE - z) * (_ONE - n * n)
-                    grad_gates[k, row, j] = d_n * hidden_n[k, row, j] * r * (_ONE - r)
-                    grad_gates[k, row, units + j] = total * (before[j] - n) * z * (_ONE - z)
-                    grad_gates[k, row, 2 * units + j] = d_n
-                    grad_hidden_n[k, row, j] = d_n * r
+                    d_r = d_n * hidden_n[k, row, j] * r * (_ONE - r)
+                    d_z = total * (before[j] - n) * z * (_ONE - z)
+                    to_gate[j] = to_state[j] = d_r
+                    to_gate[units + j] = to_state[units + j] = d_z
+                    to_gate[2 * units + j] = d_n
+                    to_state[2 * units + j] = d_n * r
                     carried[k, b, j] = total * z
-                for j in range(2 * units):
-                    d = grad_gates[k, row, j]
-                    for i in range(units):
-                        carried[k, b, i] += d * weight_back[k, j, i]
+            np.dot(grad_from_state[k, start:end], weight_back[k], scratch[:rows])
+            for b in range(rows):
                 for j in range(units):
-                    d = grad_hidden_n[k, row, j]
-                    for i in range(units):
-                        carried[k, b, i] += d * weight_back[k, 2 * units + j, i]
+                    carried[k, b, j] += scratch[b, j]
             end = start
 
 
@@ -188,7 +184,7 @@ class _GRU(torch.autograd.Function):
         rows = (*gates.shape[:2], state.shape[-1])
         hidden_n, hidden = gates.new_empty(rows), gates.new_empty(rows)
         given = as_arrays(gates, hidden_n, hidden, state, weight_hidden, bias_hidden)
-        _forward(*given, active, np.empty(gates.shape[-1], dtype=np.float32))
+        _forward(*given, active, np.empty((state.shape[1], gates.shape[-1]), dtype=np.float32))
         ctx.save_for_backward(inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden)
         ctx.active, ctx.previous = active, previous
         return hidden
@@ -197,27 +193,25 @@ class _GRU(torch.autograd.Function):
     @torch.autograd.function.once_differentiable  # type: ignore[misc]
     def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden = ctx.saved_tensors
-        units = state.shape[-1]
-        grad_gates, grad_hidden_n = torch.empty_like(gates), torch.empty_like(hidden_n)
+        grad_gates, grad_from_state = torch.empty_like(gates), torch.empty_like(gates)
         grad_state = torch.zeros_like(state, memory_format=torch.contiguous_format)
         back = weight_hidden.transpose(1, 2)
         given = as_arrays(grad_outputs[0], gates, hidden_n, hidden, state, back)
-        _backward(*given, ctx.active, *as_arrays(grad_gates, grad_hidden_n, grad_state))
+        grads = as_arrays(grad_gates, grad_from_state, grad_state)
+        _backward(*given, ctx.active, *grads, np.empty(state.shape[1:], dtype=np.float32))
         first = int(ctx.active[0]) if len(ctx.active) else 0
         if ctx.previous is None:
             later = hidden[:, : hidden.shape[1] - first]
         else:
             later = hidden.index_select(1, ctx.previous)
-        before = torch.cat((state[:, :first], later), dim=1).transpose(1, 2)
-        grad_rz, grad_bias = grad_gates[..., : 2 * units], grad_gates.sum(1, keepdim=True)
-        to_n = (before @ grad_hidden_n, grad_hidden_n.sum(1, keepdim=True))
+        before = torch.cat((state[:, :first], later), dim=1)
         return (
             grad_gates @ weight_input.transpose(1, 2) if ctx.needs_input_grad[0] else None,
             grad_state if ctx.needs_input_grad[1] else None,
             inputs.transpose(1, 2) @ grad_gates,
-            torch.cat((before @ grad_rz, to_n[0]), dim=-1),
-            grad_bias,
-            torch.cat((grad_bias[..., : 2 * units], to_n[1]), dim=-1),
+            before.transpose(1, 2) @ grad_from_state,
+            grad_gates.sum(1, keepdim=True),
+            grad_from_state.sum(1, keepdim=True),
             None,
             None,
         )

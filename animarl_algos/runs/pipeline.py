@@ -154,7 +154,7 @@ def learn(
     Goes on from the last checkpoint, exactly. So many ``processes`` choose how to act.
     """
     torch.set_num_threads(1)
-    with run.lock():
+    with threadpool_limits(1), run.lock():
         fit(run)
         settings, logs = run.settings, run.path / "logs"
         checkpoints = run.path / "checkpoints" / algo
