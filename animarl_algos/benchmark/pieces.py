@@ -42,6 +42,8 @@ from animarl_envs.worlds import make_world
 
 COMMAND = "animarl benchmark"
 ERROR, LOCK, COST = "error.json", ".piece.lock", "cost.json"
+INTERRUPTED = "interrupted.json"
+"""File of the processor seconds of attempts that did not end."""
 BACKENDS = ("loky", "ray")
 """Of joblib: processes of this machine, or a Ray cluster."""
 LOOK_AGAIN = 1.0  # [s] until a piece that another command works on is tried again
@@ -167,12 +169,19 @@ class Cell(Piece):
         return Run(out / FittedWorld.STAGE / f"{name}-{self.world}")
 
     def perform(self, out: Path) -> None:
-        """Train if the method learns, and save its rollouts."""
-        began = time.process_time()
-        rollouts, parameters = self._roll_out(out)
-        rollouts.save(self.folder(out) / "rollouts.npz")
-        spent = {"processor_seconds": time.process_time() - began, "parameters": parameters}
+        """Train if the method learns, and save its rollouts; interrupted attempts cost, too."""
+        began, interrupted = time.process_time(), self.folder(out) / INTERRUPTED
+        before = json.loads(interrupted.read_text()) if interrupted.exists() else 0.0
+        try:
+            rollouts, parameters = self._roll_out(out)
+            rollouts.save(self.folder(out) / "rollouts.npz")
+        except BaseException:
+            write_json(interrupted, before + time.process_time() - began)
+            raise
+        seconds = before + time.process_time() - began
+        spent = {"processor_seconds": seconds, "parameters": parameters}
         write_json(self.folder(out) / COST, spent)
+        interrupted.unlink(missing_ok=True)
 
     def _roll_out(self, out: Path) -> tuple[Rollouts, int | None]:
         """Return rollouts, and the number of parameters of what acted."""

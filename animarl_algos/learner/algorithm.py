@@ -620,7 +620,9 @@ class SequenceQLearning(OffPolicyAlgorithm):
         passed = min(self.num_timesteps / steps, 1.0) if steps else 1.0
         first, last = self.settings.exploration_initial_eps, self.settings.exploration_final_eps
         self.exploration_rate = first + passed * (last - first)
-        if self.policy.acting.kind is not Kind.BOLTZMANN:
+        acting = self.policy.acting
+        due = Kind.EPSILON, self.exploration_rate
+        if acting.kind is not Kind.BOLTZMANN and (acting.kind, acting.epsilon) != due:
             self.policy.acting = Acting.epsilon_greedy(self.exploration_rate)
 
     def _train_if_due(self) -> None:

@@ -169,6 +169,30 @@ def test_benchmark_goes_on_after_an_interruption(finished: Path, tmp_path: Path)
     assert bytes_of(out) == bytes_of(finished)
 
 
+def test_the_cost_of_a_cell_counts_attempts_that_were_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = plan(tiny(recipes=[], references=["still"], seeds=[0]))
+    world, cell = asked.worlds[0], asked.cells[0]
+    assert attempt(world, tmp_path) == ""
+    spent, roll_out = 0.0, pieces.Cell._roll_out
+    monkeypatch.setattr(pieces.time, "process_time", lambda: spent)
+
+    def taking_four_seconds(own: pieces.Cell, out: Path) -> Any:
+        nonlocal spent
+        spent += 4.0
+        if spent < 8.0:
+            raise KeyboardInterrupt
+        return roll_out(own, out)
+
+    monkeypatch.setattr(pieces.Cell, "_roll_out", taking_four_seconds)
+    with pytest.raises(KeyboardInterrupt):
+        attempt(cell, tmp_path)
+    assert not cell.finished(tmp_path) and not cell.cost(tmp_path)
+    assert attempt(cell, tmp_path) == ""
+    assert cell.cost(tmp_path)["processor_seconds"] == 8.0
+
+
 @pytest.mark.slow
 def test_benchmark_says_that_a_process_died(tmp_path: Path) -> None:
     asked = plan(
