@@ -150,7 +150,7 @@ def figure5_page(findings: Findings, main: bool) -> str:
     table = findings.figure5
     pairs = zip(table["species"], table["learner"])
     chosen = [one in (RECORDED, TRUTH, *compared_learners(name, main)) for name, one in pairs]
-    return markdown_table(head, texts(table[chosen], keys, columns))
+    return markdown_table(head, texts(table[np.array(chosen, dtype=bool)], keys, columns))
 
 
 def adapted_page(findings: Findings) -> dict[str, str]:

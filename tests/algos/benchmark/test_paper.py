@@ -75,6 +75,12 @@ def test_a_kept_paper_record_stands_for_its_cell(first: Path, tmp_path: Path) ->
     assert "remove it" in refuses("version 0", cell.find_record, tmp_path / "none", tmp_path)
 
 
+def test_species_without_conditions_have_a_page_too(tmp_path: Path) -> None:
+    animarl("paper", "--quick", "--page", "--species", "fly", "--only", "bc", "--out", tmp_path)
+    page = (tmp_path / "paper.md").read_text()
+    assert "0 of" in page and "nan" not in page
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
