@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
-from animarl_algos.data.vec_env import refuse_other_actions
+from animarl_algos.data.slot_layout import refuse_other_actions
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_envs.array_types import Ints
 from animarl_envs.demos.demonstrations import Demonstrations

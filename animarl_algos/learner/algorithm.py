@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -34,8 +35,7 @@ from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset, check_demonstrations
-from animarl_algos.data.vec_env import (
-    LABEL_OPTIONS,
+from animarl_algos.data.slot_layout import (
     SlotLayout,
     check_environment_supports,
     check_episodes_fit,
@@ -103,6 +103,7 @@ LOAD_ARGUMENTS = {"verbose", "tensorboard_log", "seed", "demonstrations"} | set(
 """Arguments of ``load`` beside settings."""
 STEP_VARIABLES = ("actions", "new_obs", "rewards", "dones", "infos")
 """Variables of a step, one entry for each slot, that callbacks of stable-baselines3 read."""
+epsilon_greedy = lru_cache(maxsize=1)(Acting.epsilon_greedy)  # mostly as in the step before
 
 
 class SequenceQLearning(OffPolicyAlgorithm):
@@ -249,8 +250,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         assert self.env is not None
         name = self.pretrained_preset if self.recipe.online else self.preset
         options = learner_preset(name or self.preset, section_of(self.env)).env_kwargs
-        labels = {key: value for key, value in options.items() if key in LABEL_OPTIONS}
-        return demonstrations_in(self.env, demos, self.layout, **labels)
+        return demonstrations_in(self.env, demos, self.layout, options)
 
     # -- set up -----------------------------------------------------------------------------------
 
@@ -620,10 +620,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         passed = min(self.num_timesteps / steps, 1.0) if steps else 1.0
         first, last = self.settings.exploration_initial_eps, self.settings.exploration_final_eps
         self.exploration_rate = first + passed * (last - first)
-        acting = self.policy.acting
-        due = Kind.EPSILON, self.exploration_rate
-        if acting.kind is not Kind.BOLTZMANN and (acting.kind, acting.epsilon) != due:
-            self.policy.acting = Acting.epsilon_greedy(self.exploration_rate)
+        if self.policy.acting.kind is not Kind.BOLTZMANN:
+            self.policy.acting = epsilon_greedy(self.exploration_rate)
 
     def _train_if_due(self) -> None:
         """Make the updates that a rollout asks for, once it is whole."""

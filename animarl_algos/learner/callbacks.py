@@ -20,7 +20,7 @@ from stable_baselines3.common.utils import configure_logger
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
-from animarl_algos.data.vec_env import SlotLayout, declared_feedback, feedback_of
+from animarl_algos.data.slot_layout import SlotLayout, declared_feedback, feedback_of
 from animarl_algos.learner.checkpoint import save_checkpoint
 from animarl_algos.learner.progress import progress_display
 from animarl_envs.array_types import Floats, Ints

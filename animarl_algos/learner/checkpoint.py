@@ -30,7 +30,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.save_util import open_path
 
-from animarl_algos.data.vec_env import is_observed_as_declared
+from animarl_algos.data.slot_layout import is_observed_as_declared
 from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.learner.updates import UpdateSchedule
 from animarl_algos.networks.acting_rule import Acting

@@ -18,7 +18,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.data.vec_env import declared
+from animarl_algos.data.slot_layout import declared
 from animarl_algos.learner.settings import RUN_KEYS, TABLES, LearnerFile, LearnerSettings
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError

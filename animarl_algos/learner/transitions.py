@@ -13,7 +13,7 @@ from animarl_envs.array_types import Bools
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
-    from animarl_algos.data.vec_env import SlotLayout
+    from animarl_algos.data.slot_layout import SlotLayout
     from animarl_algos.networks.policies import State
 
 

@@ -14,7 +14,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos import DQN, SlotVecEnv
-from animarl_algos.data.vec_env import declared
+from animarl_algos.data.slot_layout import declared
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.run import Run
 from animarl_algos.zoo.manager import slot_environment, validation_environment

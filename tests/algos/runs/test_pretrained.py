@@ -19,7 +19,8 @@ from small_runs import made
 
 from animarl_algos import load_pretrained, load_run
 from animarl_algos.cli.watch import prepare
-from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_observation
+from animarl_algos.data.slot_layout import refuse_other_observation
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.recipes.registry import DQDIL, SoftBC
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.permuted import second_run

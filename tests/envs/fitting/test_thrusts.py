@@ -11,8 +11,9 @@ from refusals import refuses
 from thrust_walks import DT, MULTIPLES, TRUTH, three, walk
 
 import animarl_envs
+from animarl_algos.data.slot_layout import refuse_other_actions
 from animarl_algos.data.species_data import SpeciesDemonstrations
-from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_actions
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.recipes.registry import DQN
 from animarl_envs.demos.packaged import load_packaged
