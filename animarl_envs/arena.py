@@ -3,16 +3,15 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.array_types import Bools
+from animarl_envs.array_types import Bools, Floats
 from animarl_envs.errors import InputError
 from animarl_envs.settings import (
-    NotNegative,
     Positive,
     PositiveOrInfinite,
     check_fields,
@@ -42,24 +41,30 @@ class Arena:
         ``True``: the field has walls. An individual is held at ``size`` and loses the velocity
         into the wall, while it slides along it freely; nobody ever is out of bounds. Never in an
         open field.
-    inner
-        Radius of the hole in the middle of a disc, which makes it a ring; 0 for none. The hole has
-        walls where the field has; else it ends the episode from ``inner * size / boundary`` on.
+    obstacles
+        Discs that nobody enters: x, y and radius of each. They have walls where the field has, and
+        in an open field; else they end an episode from ``radius * size / boundary`` on. A removed
+        obstacle is infinitely far.
     landmarks
         Points that individuals perceive by direction and distance: name, x and y of each, or a
         mapping of names to places; a removed landmark is infinitely far.
+    inner
+        Radius of an obstacle in the middle, which makes a disc a ring; 0 for none.
     """
 
     shape: ArenaShape = "square"
     size: Positive = 1.0  # [arena unit]
     boundary: PositiveOrInfinite = 1.1  # [arena unit]
     rebound: bool = False
-    inner: NotNegative = 0.0  # [arena unit]
     landmarks: tuple[tuple[str, float, float], ...] = ()
+    obstacles: tuple[tuple[float, float, float], ...] = ()  # [arena unit]
+    inner: InitVar[float] = 0.0  # [arena unit]
 
-    def __post_init__(self) -> None:
-        check_fields(self, "arena ")
+    def __post_init__(self, inner: float) -> None:
         object.__setattr__(self, "landmarks", _landmarks(self.landmarks))
+        middle = [(0.0, 0.0, inner)] if inner else []
+        object.__setattr__(self, "obstacles", tuple(map(as_obstacle, [*middle, *self.obstacles])))
+        check_fields(self, "arena ")
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
             object.__setattr__(self, "rebound", False)
@@ -68,11 +73,13 @@ class Arena:
                 f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
                 "choose a boundary at least as large as the size"
             )
-        if self.inner and (self.shape != "disc" or self.inner >= self.size):
-            raise InputError(
-                f"arena inner is {self.inner} in a {self.shape} of size {self.size}: only a disc "
-                "has a hole, and its radius is below the disc's"
-            )
+        corner = self.size * math.sqrt(2.0) if self.shape == "square" else self.size
+        for x, y, radius in self.obstacles:
+            if self.shape != "open" and math.hypot(x, y) + corner <= radius:
+                raise InputError(
+                    f"an obstacle of radius {radius:g} fills the whole {self.shape} of size "
+                    f"{self.size:g}: make it smaller"
+                )
 
     @property
     def edge(self) -> float:
@@ -80,22 +87,28 @@ class Arena:
         return self.size if self.rebound else self.boundary
 
     @property
-    def hole(self) -> float:
-        """How near to the middle of a ring an individual may come."""
-        return self.inner * self.size / self.edge
+    def walled(self) -> bool:
+        """Whether something holds individuals: walls, or obstacles in an open field."""
+        return self.rebound or (self.shape == "open" and bool(self.obstacles))
 
     @property
-    def field(self) -> tuple[int, float, float, float]:
-        """The shape's code, size, boundary and hole, as kernels take them."""
-        return SHAPE_CODES[self.shape], float(self.size), float(self.boundary), float(self.hole)
+    def holes(self) -> Floats:
+        """X, y and radius of each disc that nobody enters, ``(n, 3)`` [arena unit]."""
+        share = 1.0 if self.walled else self.size / self.boundary
+        return np.array(self.obstacles, dtype=np.float64).reshape(-1, 3) * [1.0, 1.0, share]
+
+    @property
+    def field(self) -> tuple[int, float, float, Floats]:
+        """The shape's code, size, boundary and holes, as kernels take them."""
+        return SHAPE_CODES[self.shape], float(self.size), float(self.boundary), self.holes
 
     def scaled(self, size: float) -> "Arena":
-        """Return the arena with another size; its boundary and hole keep their shares of it."""
-        boundary, inner = self.boundary / self.size, self.inner / self.size
-        factor = size / self.size
+        """Return the arena with another size; all that is in it keeps its share of it."""
+        boundary, factor = self.boundary / self.size, size / self.size
         landmarks = tuple((name, factor * x, factor * y) for name, x, y in self.landmarks)
+        obstacles = tuple((factor * x, factor * y, factor * r) for x, y, r in self.obstacles)
         return replace(
-            self, size=size, boundary=size * boundary, inner=size * inner, landmarks=landmarks
+            self, size=size, boundary=size * boundary, landmarks=landmarks, obstacles=obstacles
         )
 
     def without_landmark(self, name: str) -> "Arena":
@@ -104,15 +117,47 @@ class Arena:
         landmarks = tuple(far if one[0] == name else one for one in self.landmarks)
         return replace(self, landmarks=landmarks)
 
+    def without_obstacle(self, obstacle: tuple[float, float, float]) -> "Arena":
+        """Return the arena with an obstacle so far away that nobody meets it."""
+        far = (math.inf, math.inf, obstacle[2])
+        obstacles = tuple(far if one == obstacle else one for one in self.obstacles)
+        return replace(self, obstacles=obstacles)
+
+    def clearance(self, positions: NDArray[np.floating]) -> Floats:
+        """Return the distance of positions ``(..., 2)`` to the nearest obstacle, or infinity."""
+        return _clearance(positions, self.obstacles)
+
+    def hold(self, positions: Floats) -> Floats:
+        """Return positions ``(..., 2)`` with those outside the walls put to the nearest one."""
+        for x, y, radius in self.obstacles:
+            if not math.isfinite(x):
+                continue
+            away = positions - (x, y)
+            distance = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
+            positions = np.where(distance < radius, (x, y) + away * radius / distance, positions)
+        if self.shape == "square":
+            return np.clip(positions, -self.size, self.size)
+        if self.shape == "open":
+            return positions
+        radius = np.maximum(np.linalg.norm(positions, axis=-1, keepdims=True), 1e-12)
+        return np.asarray(positions * np.minimum(1.0, self.size / radius))
+
     def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> Bools:
         """Return whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
-        if self.shape == "open":
-            return np.ones(positions.shape[:-1], dtype=bool)
-        if self.shape == "disc":
-            extent = np.hypot(positions[..., 0], positions[..., 1])
-        else:
+        if self.shape == "square":
             extent = np.abs(positions).max(axis=-1)
-        return np.asarray((extent <= self.edge + margin) & (extent >= self.hole - margin))
+        else:
+            extent = np.hypot(positions[..., 0], positions[..., 1])
+        inside = (extent <= self.edge + margin) | (self.shape == "open")
+        return np.asarray(inside & (_clearance(positions, self.holes) >= -margin))
+
+
+def _clearance(positions: NDArray[np.floating], holes: Any) -> Floats:
+    clear = np.full(positions.shape[:-1], np.inf)
+    for x, y, radius in holes:
+        away = np.hypot(positions[..., 0] - x, positions[..., 1] - y)
+        clear = np.minimum(clear, away - radius)
+    return clear
 
 
 def _landmarks(given: Any) -> tuple[tuple[str, float, float], ...]:
@@ -137,11 +182,33 @@ def _landmarks(given: Any) -> tuple[tuple[str, float, float], ...]:
     return tuple(landmarks)
 
 
-def parse_shape(text: str) -> tuple[str, float]:
-    """Return shape and share of the hole's radius: ``"ring=0.6"`` is a disc with a hole of 0.6."""
+def as_obstacle(given: Any) -> tuple[float, float, float]:
+    """Return x, y and radius of an obstacle, which may be a text ``x,y,radius``.
+
+    Raises InputError.
+    """
+    try:
+        x, y, radius = map(float, given.split(",") if isinstance(given, str) else given)
+    except (TypeError, ValueError):
+        radius = math.nan
+    if not 0.0 < radius < math.inf or math.isnan(x + y):
+        raise InputError(
+            f"obstacle {given!r:.80}: give x, y and a positive radius in arena units, as .2,0,.1"
+        )
+    return x, y, radius
+
+
+def format_obstacle(obstacle: tuple[float, float, float]) -> str:
+    """Return an obstacle as users write it: ``"0.2,0,0.1"``."""
+    return ",".join(f"{value:g}" for value in obstacle)
+
+
+def parse_shape(text: str) -> tuple[Any, float]:
+    """Return the shape, and the radius of an obstacle in the middle, 0.6 of ``"ring=0.6"``."""
     if text in SHAPE_CODES:
         return text, 0.0
-    if ring := re.fullmatch(r"ring=(\d*\.?\d+)", text):
+    ring = re.fullmatch(r"ring=(\d*\.?\d+)", text)
+    if ring and float(ring[1]) < 1.0:
         return "disc", float(ring[1])
     raise InputError(
         f"arena is {text!r}: choose square, disc, open, or a ring with the radius of its hole as "

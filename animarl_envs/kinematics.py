@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 import numba as nb
+import numpy as np
 
 from animarl_envs import locomotion
 from animarl_envs.arena import SHAPE_CODES
@@ -65,11 +66,15 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
     """Hold individuals at the walls: the velocity into the wall is lost, that along it kept.
 
     Positions and velocities are ``(K, 2, B)``; ``field`` is that of an
-    :class:`~animarl_envs.arena.Arena`, whose hole nobody enters.
+    :class:`~animarl_envs.arena.Arena`. Who is pushed out of an obstacle into a wall or another
+    obstacle is held three times in turn.
     """
-    shape, size, _, hole = field
+    shape, size, _, holes = field
     K, _, B = position.shape
-    for i in range(K):
+    for turn in range(K * (3 if len(holes) else 1)):
+        i = turn % K
+        for k in range(len(holes)):
+            _hold(i, holes[k, 0], holes[k, 1], holes[k, 2], False, position, velocity)
         if shape == SQUARE:
             for x in range(2):
                 for b in range(B):
@@ -80,34 +85,36 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
                     position[i, x, b] = held
                     velocity[i, x, b] = 0.0 if into else v
         elif shape == DISC:
-            for begin in range(0, B, TOGETHER):
-                end, farthest, nearest = min(B, begin + TOGETHER), 0.0, size * size
-                for b in range(begin, end):
-                    x = position[i, 0, b]
-                    y = position[i, 1, b]
-                    farthest = max(farthest, x * x + y * y)
-                    nearest = min(nearest, x * x + y * y)
-                if farthest > size * size * (1.0 - 1e-9) or nearest < hole * hole:
-                    _hold_between(i, begin, end, hole, size, position, velocity)
+            _hold(i, 0.0, 0.0, size, True, position, velocity)
 
 
 @inline_kernel
-def _hold_between(i, begin, end, inner, radius, position, velocity):  # type: ignore[no-untyped-def]
-    """Hold individual ``i`` in a ring; without a branch, so that divisions are vectorised."""
-    for b in range(begin, end):
-        x = position[i, 0, b]
-        y = position[i, 1, b]
-        out = math.sqrt(x * x + y * y)
-        beyond, within = out > radius, out < inner
-        held = beyond | within
-        # a hair inside the field, so that rounding does not leave it outside
-        whole, hair = (max(out, 1e-300) if held else 1.0), (1.0 - 1e-12 if beyond else 1.0 + 1e-12)
-        back = (radius if beyond else inner) / whole * hair if held else 1.0
-        nx = (x if held else 0.0) / whole
-        ny = (y if held else 0.0) / whole
-        outwards = velocity[i, 0, b] * nx + velocity[i, 1, b] * ny
-        into = min(0.0, outwards) if within else max(0.0, outwards)
-        position[i, 0, b] = back * x
-        position[i, 1, b] = back * y
-        velocity[i, 0, b] -= into * nx
-        velocity[i, 1, b] -= into * ny
+def _hold(i, middle_x, middle_y, radius, within, position, velocity):  # type: ignore[no-untyped-def]
+    """Hold individual ``i`` within a circle, or out of it."""
+    B = position.shape[2]
+    for begin in range(0, B, TOGETHER):
+        end, farthest, nearest = min(B, begin + TOGETHER), 0.0, np.inf
+        for b in range(begin, end):
+            x = position[i, 0, b] - middle_x
+            y = position[i, 1, b] - middle_y
+            farthest = max(farthest, x * x + y * y)
+            nearest = min(nearest, x * x + y * y)
+        far = farthest > radius * radius * (1.0 - 1e-9)
+        if not (far if within else nearest < radius * radius):
+            continue
+        for b in range(begin, end):  # without a branch, so that divisions are vectorised
+            x = position[i, 0, b] - middle_x
+            y = position[i, 1, b] - middle_y
+            out = math.sqrt(x * x + y * y)
+            held = out > radius if within else out < radius
+            # a hair inside the field, so that rounding does not leave it outside
+            whole = max(out, 1e-300) if held else 1.0
+            back = radius / whole * (1.0 - 1e-12 if within else 1.0 + 1e-12)
+            nx = (x if held else 0.0) / whole
+            ny = (y if held else 0.0) / whole
+            outwards = velocity[i, 0, b] * nx + velocity[i, 1, b] * ny
+            into = max(0.0, outwards) if within else min(0.0, outwards)
+            position[i, 0, b] = middle_x + back * x if held else position[i, 0, b]
+            position[i, 1, b] = middle_y + back * y if held else position[i, 1, b]
+            velocity[i, 0, b] -= into * nx
+            velocity[i, 1, b] -= into * ny

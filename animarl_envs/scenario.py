@@ -130,7 +130,7 @@ class Scenario:
         if not species.arena.contains(start).all():
             raise InputError(
                 "start lies out of bounds: place every individual within "
-                f"{species.arena.boundary:g} of the centre"
+                f"{species.arena.boundary:g} of the centre, and outside obstacles"
             )
         return start
 

@@ -373,7 +373,7 @@ def option_defaults(species: Species) -> dict[str, str]:
         shown["num_pursuers"] = str(species.num_pursuers)
         shown["num_targets"] = str(species.roles.count("target"))
     if isinstance(species, ChaseSpecies):
-        shown["landmarks"] = "{}"
+        shown |= {"landmarks": "{}", "obstacles": "()"}
     shown |= {"arena": arena_text(species.arena), "boundary": number(species.arena.boundary)}
     shown |= {"rebound": repr(species.arena.rebound), "locomotion": "see Facts"}
     shown |= {"thrusts": repr(species.thrusts)}

@@ -103,6 +103,10 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "names and places, such as `{'stripe': (0, 1)}`",
         "points that individuals perceive by direction and distance",
     ),
+    "obstacles": (
+        "x, y and radius of each, such as `[(0.3, 0, 0.1)]`",
+        "discs that nobody enters [arena unit]",
+    ),
     "num_pursuers": (
         "a whole number, at least 1",
         "number of pursuers; with fewer than recorded, the first ones are used; with more, give "

@@ -15,8 +15,9 @@ from rich.table import Table
 from rich.text import Text
 
 from animarl_algos.cli.shared import PlainConsole
+from animarl_envs.arena import format_obstacle
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import SPLITS
+from animarl_envs.demos.episode import PURSUER_OUT, SPLITS, TARGET_OUT
 from animarl_envs.demos.summary import (
     RESTING_SHARE,
     condition_name,
@@ -217,7 +218,7 @@ def describe_ground(demos: Demonstrations) -> list[str]:
     angles = np.arctan2(from_middle[:, 1], from_middle[:, 0])
     length = np.linalg.norm(from_middle, axis=1)
     around = np.histogram(angles, SECTORS, (-math.pi, math.pi))[0].all()
-    if inner > RING * outer and around and not demos.arena.inner:
+    if inner > RING * outer and around and not demos.arena.obstacles:
         share = math.floor(100 * inner / length.max()) / 100
         inner, outer = unit.per_arena_unit * inner, unit.per_arena_unit * outer
         return [
@@ -289,9 +290,11 @@ def describe_frame_rate(demos: Demonstrations) -> str:
 def _arena(demos: Demonstrations) -> str:
     arena, sizes = demos.arena, sorted(_unit_sizes(demos))
     words = {"square": "square, half side 1", "disc": "disc, radius 1", "open": "open field"}
-    text = words[arena.shape] + (f" around a hole of {arena.inner:g}" if arena.inner else "")
+    text = words[arena.shape]
     if math.isfinite(arena.boundary):
         text += f", boundary {arena.boundary:g}"
+    if arena.obstacles:
+        text += f"; obstacles (x,y,radius) {' and '.join(map(format_obstacle, arena.obstacles))}"
     if arena.landmarks:
         text += f"; landmarks {', '.join(name for name, *_ in arena.landmarks)}"
     if sizes:
@@ -458,18 +461,25 @@ def automatic_decisions(demos: Demonstrations) -> list[str]:
             "ends most recordings, so it is taken for contact: otherwise give --contact DISTANCE, "
             "or --contact 0 for none"
         )
+    if left := demos.provenance.get("left_beyond"):
+        out = int(np.isin(demos.outcome, (TARGET_OUT, PURSUER_OUT)).sum())
+        sentences.append(
+            f"{out} recordings end where an animal is farther out than {left:.3g} arena "
+            "units, where hardly any is before: it is taken to have left, so no wall stands there: "
+            "otherwise give --ends film"
+        )
     elif demos.provenance.get("ends") == "film" and recipe.get("cutting", {}).get("ends") == "auto":
         contact_too = "--ends contact, or " if demos.has_goal else ""
         sentences.append(
             "the end of a recording is taken for the end of the film, after which the animals "
             f"went on: otherwise give {contact_too}--ends left if an animal left the field"
         )
-    edged = demos.species == CUSTOM and "searcher" not in demos.roles
+    holes, edged = demos.arena.obstacles, demos.species == CUSTOM and "searcher" not in demos.roles
     if edged and (beyond := share_beyond(demos)) > MAY_BE_BEYOND:
         sentences.append(
             f"{100 * beyond:.1f} % of the frames of an animal lie clearly beyond the arena's edge, "
             "so no wall stands there, and leaving the boundary ends a simulated episode: "
-            f"otherwise give a {'smaller hole' if demos.arena.inner else 'wider --arena-width'}"
+            f"otherwise give a {'smaller obstacle' if holes else 'wider --arena-width'}"
         )
     if lost := demos.provenance.get("lost"):
         marks = ", ".join(f"{place} ({counted(n, 'point')})" for place, n in lost.items())

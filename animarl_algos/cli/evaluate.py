@@ -196,8 +196,9 @@ def whatif_command(
 
     What can be changed: speed, thrust, damping and start of an individual (prey.speed), of a kind
     (predators.thrust) or of all (all.damping); arena, contact and time_limit; condition=NAME, if
-    the run learned from several; remove=predator_1; start=uniform; of a moth plume, wind, odour and
-    the numbers of its senses. Without --change the names of this run are listed.
+    the run learned from several; remove=predator_1; obstacle=0.3,0,0.1 (x, y and radius);
+    start=uniform; of a moth plume, wind, odour and the numbers of its senses. Without --change the
+    names of this run are listed.
 
     Values: a factor (x1.2), a change (+20%), a value with its unit (60s, 0.15), or a sweep
     (-20%..+20%/5). Speed is the achieved mean speed: the thrust for it is found and printed.
@@ -217,6 +218,7 @@ def whatif_command(
     """
     from animarl_algos.evaluation.own_measures import register_measures
     from animarl_algos.report.verdict_section import terminal_table
+    from animarl_algos.report.words import Words
     from animarl_algos.runs import run_set
     from animarl_algos.runs.permuted import permuted_runs, second_run
     from animarl_algos.runs.pretrained import load_run
@@ -238,6 +240,7 @@ def whatif_command(
     verdict_measures = [name for name in measure or () if name not in own]
     console, change = PlainConsole(WIDTH), change or []
     loaded = [load_run(run) for run in runs]
+    recorded = Words.of(loaded[0].demos).adapt("recorded")
     if len(loaded) == 1:
         loaded = run_set.ensemble(loaded[0], fold)
         if len(loaded) > 1:
@@ -273,7 +276,7 @@ def whatif_command(
         separately=separately,
         measures=verdict_measures,
         on_baseline=lambda table: console.print(
-            terminal_table(unchanged_table(table), "unchanged world", wrapped=True)
+            terminal_table(unchanged_table(table, recorded), "unchanged world", wrapped=True)
         ),
         on_answer=lambda answer: _print(console, answer),
     )

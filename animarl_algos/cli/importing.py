@@ -77,7 +77,7 @@ def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:
                 continue
             kinds = {hints[each.name], *get_args(hints[each.name])}
             kind: Any = next((one for one in (float, bool, int) if one in kinds), str)
-            kind = list[str] if get_origin(hints[each.name]) is Mapping else kind
+            kind = list[str] if get_origin(hints[each.name]) in (Mapping, tuple) else kind
             flags = ["/".join(f"--{one.replace('_', '-')}" for one in name.split("/"))]
             info = typer.Option(*flags if kind is bool else [], help=each.metadata["help"])
             name = name.partition("/")[0]

@@ -165,12 +165,6 @@ def _moments(parts: list[Floats]) -> Floats:
 
 def _held(position: Floats, heading: Floats, arena: Arena) -> tuple[Floats, Floats]:
     """Hold individuals within the field; those that meet its edge turn round."""
-    if arena.shape == "open":
-        return position, heading
-    if arena.shape == "square":
-        inside = np.clip(position, -arena.size, arena.size)
-    else:
-        radius = np.maximum(np.linalg.norm(position, axis=-1, keepdims=True), 1e-12)
-        inside = position * np.maximum(np.minimum(1.0, arena.size / radius), arena.inner / radius)
+    inside = arena.hold(position)
     met = (inside != position).any(axis=-1)
     return inside, np.where(met, heading + np.pi, heading)

@@ -304,14 +304,12 @@ def _places(series: Series, arena: Arena, searching: bool) -> Iterator[tuple[str
 
 
 def distance_to_edge(points: Floats, arena: Arena) -> Floats:
-    """Return the distance to the nearest edge of the field, or to the origin of an open one."""
-    if arena.shape == "square":
-        return np.asarray(arena.size - np.abs(points).max(axis=-1))
+    """Return the distance to the nearest wall of the field, or to the origin of an open one."""
     radius = np.linalg.norm(points, axis=-1)
     if arena.shape == "open":
         return np.asarray(radius)
-    outer = arena.size - radius
-    return np.asarray(np.minimum(outer, radius - arena.inner) if arena.inner else outer)
+    out = np.abs(points).max(axis=-1) if arena.shape == "square" else radius
+    return np.asarray(np.minimum(arena.size - out, arena.clearance(points)))
 
 
 def _mean(series: Floats, axis: int = 1) -> Floats:

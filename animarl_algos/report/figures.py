@@ -356,8 +356,8 @@ def draw_paths(
         )
     elif arena.shape == "disc":
         panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
-        if arena.inner:
-            panel.add_patch(Circle((0.0, 0.0), arena.inner, **outline | {"facecolor": "none"}))
+    for x, y, radius in arena.obstacles:
+        panel.add_patch(Circle((x, y), radius, **outline | {"facecolor": "none"}))
     for _, *place in arena.landmarks:
         panel.plot(*place, "^", color=style.MUTED.hex, markersize=6)
     if "searcher" in roles:

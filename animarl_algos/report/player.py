@@ -97,7 +97,7 @@ def _world(stage: Stage) -> dict[str, Any]:
             "shape": arena.shape,
             "size": arena.size,
             "walls": arena.rebound,
-            "inner": arena.inner,
+            "obstacles": [one for one in arena.obstacles if math.isfinite(one[0])],
             "landmarks": [place for place in arena.landmarks if math.isfinite(place[1])],
         },
         "contact": stage.contact_radius,

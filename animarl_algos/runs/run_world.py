@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import Any
 
 from animarl_algos.data.vec_env import OWN_OPTIONS, SCENARIO_OPTIONS
+from animarl_envs.arena import format_obstacle
 from animarl_envs.cells import CellLocomotion
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
@@ -62,8 +63,9 @@ def world_in_words(species: Species) -> dict[str, str]:
     """Return what decides how episodes go in a world, to print: name and value."""
     arena = species.arena
     edge = "walls" if arena.rebound else f"out of bounds beyond {arena.boundary:g}"
-    shape = f"ring around a hole of {arena.inner:g}" if arena.inner else arena.shape
-    field = shape if shape == "open" else f"{shape}, {arena.size:g}, {edge}"
+    field = "open" if arena.shape == "open" else f"{arena.shape}, {arena.size:g}, {edge}"
+    for obstacle in arena.obstacles:
+        field += f"; obstacle {format_obstacle(obstacle)}"
     return {
         "individuals": ", ".join(species.individuals),
         "arena": field,

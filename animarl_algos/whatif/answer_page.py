@@ -15,7 +15,7 @@ from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, page, player, style
 from animarl_algos.report.inputs import PageInputs, provenance, to_paste
 from animarl_algos.report.style import Image, to_image
-from animarl_algos.report.words import MINUS, capitalised, number, scaled, with_interval
+from animarl_algos.report.words import MINUS, Words, capitalised, number, scaled, with_interval
 from animarl_algos.whatif.answer import Answer, WhatIf
 from animarl_algos.whatif.changes import Amount
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
@@ -121,9 +121,10 @@ def cut_note(result: WhatIf) -> str:
 
 def words(result: WhatIf) -> str:
     """Return what was found as Markdown to paste."""
+    vocabulary = Words.of(result.demos)
     lines = ["# What if", "", what_it_is(result), ""]
     for answer in result.answers:
-        table = answer_table(answer)
+        table = answer_table(answer, recorded=vocabulary.adapt(RECORDED))
         lines += [f"## {answer.scenario.name}", ""]
         lines += [f"{sentence}\n" for sentence in asides(answer)]
         columns = [column.replace("\n", " ") for column in table.columns]
@@ -265,9 +266,9 @@ def interval_text(row: pd.Series, name: str) -> str:
     return with_interval(Interval(sum(ends) / 2, *ends)).partition(" ")[2]
 
 
-def unchanged_table(table: pd.DataFrame) -> page.Table:
+def unchanged_table(table: pd.DataFrame, recorded: str = RECORDED) -> page.Table:
     """Return how far the unchanged simulation is from the recordings."""
-    return page.tabulate("Unchanged", _means(RECORDED), [("", table)], "")
+    return page.tabulate("Unchanged", _means(recorded), [("", table)], "")
 
 
 def _means(recorded: str) -> dict[str, Callable[[pd.Series], str]]:

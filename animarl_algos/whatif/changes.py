@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from animarl_algos.whatif.absent import can_remove
+from animarl_envs.arena import Arena, as_obstacle, format_obstacle
 from animarl_envs.array_types import Floats
 from animarl_envs.cells import CellLocomotion
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -34,6 +35,7 @@ PLUMES = ("model", "continuous", "off")
 AIR = {"wind": "advection_speed", "odour": "threshold"}
 """Constants of the plume model; the threshold goes down as the source's odour goes up."""
 LANDMARK = "landmark.remove"
+OBSTACLE, CLEARED = "obstacle", "obstacle.remove"
 REMOVE, ADD, START, UNIFORM = "remove", "add", "start", "uniform"
 PLACE = re.compile(rf"({NUMBER})\s*,\s*({NUMBER})\s*([A-Za-z]*)")
 
@@ -68,10 +70,11 @@ class Change:
         Those whose body, trait or start is changed; empty for the world.
     what
         ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition``,
-        ``plume``, ``wind``, ``odour``, ``remove``, ``landmark.remove``, ``start``, a trait
-        (``own_speed``) or another number of the species.
+        ``plume``, ``wind``, ``odour``, ``remove``, ``landmark.remove``, ``obstacle``,
+        ``obstacle.remove``, ``start``, a trait (``own_speed``) or another number of the species.
     amount
-        How much; of a condition, a plume or a landmark its name, of a start ``uniform`` or a place.
+        How much; of a condition, a plume or a landmark its name, of a start ``uniform`` or a place,
+        of an obstacle x, y and radius.
     text
         As the user wrote it.
     """
@@ -193,6 +196,9 @@ class ChangedWorld:
             if change.what == LANDMARK:
                 arena = arena.without_landmark(str(change.amount))
                 options["landmarks"] = arena.landmarks
+            elif change.what in (OBSTACLE, CLEARED):
+                arena = _change_obstacles(arena, change, unit, species.arena.size)
+                options["obstacles"] = arena.obstacles
         if bodies != dict(zip(species.individuals, species.locomotion)):
             options["locomotion"] = bodies
         return options
@@ -248,7 +254,7 @@ def parse_change(text: str, species: Species) -> list[Change]:
     individuals, what = named[name]
     if isinstance(species.locomotion[0], CellLocomotion):
         what = _body_of_cells(what, value, text)
-    if what in (CONDITION, PLUME, REMOVE, START, LANDMARK):
+    if what in (CONDITION, PLUME, REMOVE, START, LANDMARK, OBSTACLE, CLEARED):
         chosen = _choice(what, value, species, text)
         return [Change((chosen,) if what == REMOVE else individuals, what, chosen, text)]
     sweep = SWEEP.fullmatch(value)
@@ -309,7 +315,10 @@ def subjects(species: Species) -> dict[str, tuple[tuple[str, ...], str]]:
     world = ["time_limit"]
     if isinstance(species, ChaseSpecies):
         world += ["arena"] * (species.arena.shape != "open") + ["contact"] * (not species.free)
-        world += [REMOVE] * can_remove(species) + [LANDMARK] * bool(species.arena.landmarks)
+        arena = species.arena  # the open field has no walls to perceive before it has obstacles
+        world += [REMOVE] * can_remove(species) + [LANDMARK] * bool(arena.landmarks)
+        world += [OBSTACLE] * (arena.shape != "open" or arena.walled)
+        world += [CLEARED] * bool(arena.obstacles)
     if isinstance(species, SearchSpecies):
         fields_of_search = {field.name for field in fields(SearchSpecies)}
         numbers = fields_of_search - {field.name for field in fields(Species)}
@@ -334,6 +343,22 @@ def _place(value: str, unit: Unit, text: str) -> Floats | None:
     return place / unit.per_arena_unit if match[3] else place
 
 
+def _change_obstacles(arena: Arena, change: Change, unit: Unit, size: float) -> Arena:
+    """Return the arena with one obstacle more or less; ``size`` is that of the unchanged one."""
+    text = str(change.amount)
+    if change.what == CLEARED:
+        factor = arena.size / size
+        names = [
+            format_obstacle((x / factor, y / factor, r / factor)) for x, y, r in arena.obstacles
+        ]
+        return arena.without_obstacle(arena.obstacles[names.index(text)])
+    numbers = text.removesuffix(unit.name).strip()
+    per_unit = 1.0 if numbers == text else 1.0 / unit.per_arena_unit
+    x, y, radius = as_obstacle(numbers)
+    new = per_unit * x, per_unit * y, per_unit * radius
+    return replace(arena, obstacles=(*arena.obstacles, new))
+
+
 def _choice(what: str, value: str, species: Species, text: str) -> str:
     """Check the name of a condition, a plume or an individual, or a start, and return it."""
     if what == START and value == UNIFORM and not isinstance(species, ChaseSpecies):
@@ -343,6 +368,7 @@ def _choice(what: str, value: str, species: Species, text: str) -> str:
         CONDITION: species.conditions,
         PLUME: PLUMES,
         LANDMARK: tuple(name for name, _, _ in species.arena.landmarks),
+        CLEARED: tuple(map(format_obstacle, species.arena.obstacles)),
     }.get(what)
     if names is not None and value not in names:
         raise InputError(f"{text!r}: there is no {value!r}: choose one of {', '.join(names)}")
@@ -417,7 +443,7 @@ def _check_once(changes: Iterable[Change]) -> None:
     gone = {name for one in changes if one.what == REMOVE for name in one.individuals}
     for change in changes:
         what = "thrust" if change.what == "speed" else change.what
-        what += f" {change.amount}" * (what == LANDMARK)
+        what += f" {change.amount}" * (what in (LANDMARK, OBSTACLE, CLEARED))
         for name in change.individuals or ("",):
             if name in gone and what in BODY:
                 raise InputError(f"{change.text!r} changes {name}, who is removed: leave one out")

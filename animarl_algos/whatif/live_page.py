@@ -131,7 +131,7 @@ def page_model(run: TrainedRun) -> dict[str, Any]:
         "synthetic": run.demos.synthetic,
         "unit": asdict(unit),
         "arena": asdict(arena)
-        | {"hole": arena.hole / arena.size}
+        | {"walled": arena.walled}
         | ({"boundary": None} if arena.shape == "open" else {}),
         "lone": isinstance(species, ChaseSpecies) and species.lone_pursuer,
         "free": is_free(species.roles),

@@ -260,7 +260,7 @@ class Demonstrations(Episodes):
     def fingerprint(self) -> str:
         """Return a hash of the content, without the provenance: 16 hexadecimal digits."""
         digest = hashlib.sha256()
-        later = ("inner", "landmarks")  # without them the hash is that of former versions
+        later = ("obstacles", "landmarks")  # without them the hash is that of former versions
         arena = {key: value for key, value in vars(self.arena).items() if value or key not in later}
         head = [self.species, self.individuals, self.roles, self.dt, arena]
         digest.update(json.dumps(head, sort_keys=True).encode())
@@ -329,7 +329,7 @@ class Demonstrations(Episodes):
             self._refuse(
                 f"{self._place(*place)}: the position is not a number: fill the gap or cut it out",
             )
-        whole = replace(self.arena, inner=0.0)  # tracks may cross the hole of a ring
+        whole = replace(self.arena, obstacles=())  # tracks may cross them
         outside = ~whole.contains(self.positions, margin=self.OUTSIDE_MARGIN)
         for place in np.argwhere(outside)[:1]:
             x, y = self.positions[tuple(place)]

@@ -224,6 +224,11 @@ class Renderer:
                 self._page.fill(palette.ARENA, (0, 0, self.size, self.size))
             else:
                 self._draw_edges(arena)
+            for x, y, radius in arena.obstacles:
+                if math.isfinite(x):
+                    hole = self._at(np.array([x, y])), radius * self._scale
+                    self._disc(*hole, palette.BACKGROUND)
+                    self._disc(*hole, palette.OUTLINE, self._width(LINE_WIDTH))
             for name, x, y in arena.landmarks:
                 if math.isfinite(x):
                     place = self._at(np.array([x, y]))
@@ -245,10 +250,6 @@ class Renderer:
         line, colours = self._width(LINE_WIDTH), [palette.OUTLINE] * len(edge)
         if arena.shape == "disc":
             self._disc(self._at(np.zeros(2)), arena.size * self._scale, palette.OUTLINE, line)
-            if arena.inner:
-                hole = self._at(np.zeros(2)), arena.inner * self._scale
-                self._disc(*hole, palette.BACKGROUND)
-                self._disc(*hole, palette.OUTLINE, line)
         else:
             self._path(np.concatenate([edge, edge[:1]]), colours, line)
 

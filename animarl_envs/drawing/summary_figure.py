@@ -101,9 +101,8 @@ def _draw_recordings(
         axes.plot(*edge, color="0.8", lw=0.8)
         for _, *place in demos.arena.landmarks:
             axes.plot(*(unit.per_arena_unit * np.array(place)), "^", color="0.5", ms=6)
-        if demos.arena.inner:
-            hole = demos.arena.inner / demos.arena.size * np.asarray(edge)
-            axes.plot(*hole, color="0.8", lw=0.8)
+        for x, y, radius in unit.per_arena_unit * np.array(demos.arena.obstacles).reshape(-1, 3):
+            axes.plot(x + radius * np.cos(angle), y + radius * np.sin(angle), color="0.8", lw=0.8)
         if "searcher" in demos.roles:
             axes.plot(0, 0, "*", color=palette.to_hex(palette.PLUME), ms=8)
         _draw_tracks(axes, demos, unit, own)

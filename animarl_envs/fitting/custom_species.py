@@ -290,7 +290,7 @@ def _plain_species(demos: Demonstrations) -> Species:
         arena=arena_of(demos, CUSTOM),
         dt=demos.dt,
         start_half_side=max(
-            (0.7 if demos.arena.inner else 0.5) * demos.arena.size, common["contact_radius"]
+            (0.7 if demos.arena.obstacles else 0.5) * demos.arena.size, common["contact_radius"]
         ),
         free=is_free(demos.roles),
         neighbours=seen if (seen := _recipe(demos).get("neighbours")) is not None else 4,

@@ -94,7 +94,7 @@ def track(
             actions,
             course,
         )
-        if arena.rebound:
+        if arena.walled:
             rebound(arena.field, position_now, velocity_now)
     return Tracking(paths, speeds, actions)
 
@@ -129,7 +129,7 @@ def _track_by_cells(
             velocity[:, i, 1] = own.thrust * (drawn[:, 0] * y + drawn[:, 1] * x)
             actions[now, i] = cell
         position = paths[now] + velocity * dt
-        if arena.rebound:
+        if arena.walled:
             held = [np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (position, velocity)]
             rebound(arena.field, *held)
             position, velocity = (each.transpose(2, 0, 1) for each in held)

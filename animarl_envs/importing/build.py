@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.array_types import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import HEADING, INTERVAL
+from animarl_envs.demos.episode import HEADING, INTERVAL, UNFINISHED
 from animarl_envs.errors import FaultCollector, InputError, require
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import clean, resample, runs, scales_of
@@ -22,8 +23,10 @@ from animarl_envs.importing.cutting import (
     Cutting,
     check_events,
     cut_episodes,
+    find_boundary,
     find_contact_distance,
     in_pieces,
+    outcome_at_end,
 )
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.lost_animals import default_confidence, mark_lost
@@ -85,10 +88,12 @@ def demonstrations_from_tracks(
     scaled = [
         scale.apply(one.choose(individuals)) for scale, one in zip(scales, cleaned, strict=True)
     ]
-    cutting = recipe.cutting
+    cutting, arena, boundary = recipe.cutting, recipe.scaling.arena, None
     if all(tracks.outcome is None for tracks in scaled):
-        cutting = replace(cutting, contact=_contact(scaled, roles, recipe))
-    episodes = _episodes(scaled, roles, replace(recipe, cutting=cutting), done)
+        boundary = _boundary(scaled, roles, recipe)
+        stayed = [one for one in scaled if not _left(one.bodies[-1], boundary, arena.shape)]
+        cutting = replace(cutting, contact=_contact(stayed, roles, recipe))
+    episodes = _episodes(scaled, roles, replace(recipe, cutting=cutting), done, boundary)
     if not episodes:
         arena_unit = f"{scales[0].unit:.4g} {cleaned[0].unit}"
         raise InputError(f"{name}: {_why_none(scaled, roles, cutting, arena_unit)}")
@@ -109,7 +114,7 @@ def demonstrations_from_tracks(
         individuals=individuals,
         roles=roles,
         dt=1.0 / rate,
-        arena=recipe.scaling.arena,
+        arena=arena if boundary is None else replace(arena, boundary=boundary),
         positions=np.concatenate([one["positions"] for one in episodes]),
         lengths=np.array([len(one["positions"]) for one in episodes]),
         initial_velocity=joined("initial_velocity"),
@@ -130,7 +135,7 @@ def demonstrations_from_tracks(
                 one.recording: asdict(scale) for one, scale in zip(cleaned, scales, strict=True)
             },
             "cleaning": done,
-            "ends": _ends(cutting, scaled, joined("outcome")),
+            "ends": "left" if boundary else _ends(cutting, scaled, joined("outcome")),
             "frame_rate": _stated_rates(recordings, recipe),
             **notes,
             **({"animals": animals} if animals else {}),
@@ -139,6 +144,7 @@ def demonstrations_from_tracks(
             **({} if most == len(individuals) else {"animals_tracked": most}),
             **({} if used >= NEARLY_ALL * tracked else {"share_used": used / tracked}),
             **({} if cutting == recipe.cutting else {"contact_radius": cutting.contact}),
+            **({} if boundary is None else {"left_beyond": boundary}),
             **sessions.provenance(),
         },
         name=name,
@@ -233,7 +239,7 @@ def _origin(recordings: Sequence[Tracks], recipe: ImportRecipe, name: str) -> di
         "synthetic": recipe.synthetic,
         **first,
         **stated,
-        "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
+        "files": sorted({Path(one.provenance.get("file", name)).name for one in recordings}),
     }
 
 
@@ -290,6 +296,29 @@ def _contact(
     return find_contact_distance(stretches)
 
 
+def _boundary(
+    scaled: Sequence[Tracks], roles: tuple[str, ...], recipe: ImportRecipe
+) -> float | None:
+    """Return how far out animals of a chase end recordings by leaving, where nobody states it."""
+    cutting, shape = recipe.cutting, recipe.scaling.arena.shape
+    stated = cutting.piece is not None or cutting.ends != "auto" or shape == "open"
+    if cutting.mode != "whole" or stated or TARGET not in roles:
+        return None
+    limit = find_boundary([_outermost(tracks.bodies, shape) for tracks in scaled])
+    return limit if limit is not None and limit >= recipe.scaling.arena.size else None
+
+
+def _outermost(bodies: Floats, shape: str) -> Floats:
+    """Return how far out the outermost individual is, of ``(frames, individuals, 2)``."""
+    out = np.abs(bodies).max(axis=-1) if shape == "square" else np.linalg.norm(bodies, axis=-1)
+    return np.asarray(out.max(axis=-1))
+
+
+def _left(last: Floats, boundary: float | None, shape: str) -> bool:
+    """Return whether somebody of the last frame ``(individuals, 2)`` is beyond the boundary."""
+    return boundary is not None and bool(_outermost(last[None], shape)[0] >= boundary)
+
+
 def _ends(cutting: Cutting, recordings: Sequence[Tracks], outcome: NDArray[Any]) -> str:
     """Return what the ends of recordings mean: as stated, by the files, or as was found."""
     if any(tracks.outcome is not None for tracks in recordings):
@@ -304,13 +333,21 @@ def _episodes(
     roles: tuple[str, ...],
     recipe: ImportRecipe,
     done: dict[str, dict[str, Any]],
+    boundary: float | None,
 ) -> list[dict[str, Any]]:
-    """Return the episodes of all recordings at the decision rate, and count them in ``done``."""
+    """Return the episodes of all recordings at the decision rate, and count them in ``done``.
+
+    A recording that ends beyond the ``boundary`` ends because somebody left.
+    """
     events = recipe.cutting.events
     if recipe.cutting.mode == "events" and events is not None:
         check_events(Path(events), [tracks.recording for tracks in scaled])
     episodes = []
     for tracks, cuts in zip(scaled, _cuts(scaled, roles, recipe), strict=True):
+        last = tracks.bodies[cuts[-1].stop - 1] if cuts else tracks.bodies[-1]
+        left = _left(last, boundary, recipe.scaling.arena.shape)
+        if left and cuts and cuts[-1].outcome == UNFINISHED:
+            cuts[-1] = replace(cuts[-1], outcome=outcome_at_end("left", last, last[:, 0], roles))
         made = [_episode(tracks, cut, recipe) for cut in cuts]
         long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
         done[tracks.recording]["episodes"] += len(long_enough)

@@ -323,6 +323,11 @@ class Scaling(Checked):
         "landmark",
         "A point that animals perceive, as name=x,y in arena units from the middle, y upwards.",
     )
+    obstacles: tuple[Any, ...] = option(
+        (),
+        "obstacle",
+        "A disc that nobody enters, as x,y,radius in arena units from the middle, y upwards.",
+    )
     boundary: PositiveOrInfinite = option(
         1.1, "boundary", "Individuals beyond it are out, in arena units."
     )
@@ -339,11 +344,12 @@ class Scaling(Checked):
         """The arena in arena units."""
         shape, inner = parse_shape(self.shape)
         return Arena(
-            shape,  # type: ignore[arg-type]
+            shape,
             size=1.0,
             boundary=self.boundary,
             inner=inner,
             landmarks=self.landmarks,  # type: ignore[arg-type]
+            obstacles=self.obstacles,
         )
 
 

@@ -68,7 +68,8 @@ class Cutting(Checked):
         "ends",
         "whole, events: what the end of a recording means: contact; left: an "
         "animal left the field; film: nothing, it was stopped; default: contact where most "
-        "recordings end within one distance, else film.",
+        "recordings end within one distance, left where some end farther out than others come, "
+        "else film.",
     )
     piece: PositiveOrInfinite | None = option(
         None,
@@ -148,7 +149,7 @@ def cut_episodes(
                 cuts.append(_until_contact(distance[start:stop], settings.contact, start))
         if cuts and cuts[-1].outcome == UNFINISHED:
             last = cuts[-1].stop - 1
-            end = _outcome_at_end(settings.ends, bodies[last], distance[last], roles)
+            end = outcome_at_end(settings.ends, bodies[last], distance[last], roles)
             cuts[-1] = replace(cuts[-1], outcome=end)
     kept = []
     for cut in cuts:
@@ -210,7 +211,7 @@ def _until_contact(distance: Floats, contact: float | None, offset: int) -> Cut:
     return Cut(offset, offset + len(distance), UNFINISHED)
 
 
-def _outcome_at_end(ends: str, positions: Floats, distance: Floats, roles: Sequence[str]) -> int:
+def outcome_at_end(ends: str, positions: Floats, distance: Floats, roles: Sequence[str]) -> int:
     """Return the outcome of a recording by its last frame, as ``ends`` interprets it.
 
     Whoever is farthest from the centre then is taken for the one that left.
@@ -277,7 +278,7 @@ def _cut_at_events(
         if outcome is None:
             outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
         if outcome == UNFINISHED:
-            outcome = _outcome_at_end(settings.ends, bodies[stop - 1], distance[stop - 1], roles)
+            outcome = outcome_at_end(settings.ends, bodies[stop - 1], distance[stop - 1], roles)
         cuts.append(Cut(start, stop, outcome, condition))
     return cuts
 
@@ -323,6 +324,17 @@ def pursued_individual(bodies: Sequence[Floats]) -> int | None:
     return target if approached.count(target) > MOSTLY * len(approached) else None
 
 
+def find_boundary(outermost: Sequence[Floats]) -> float | None:
+    """Return how far out animals are when they leave and so end recordings, or None.
+
+    As :func:`find_contact_distance`: nearly nobody comes that far before the last frame, and
+    ``FEWEST_ENDS`` recordings or more end so. ``outermost`` ``(frames,)`` of each recording is how
+    far out its outermost individual is.
+    """
+    limit = _limit_of_ends([-one for one in outermost], least=FEWEST_ENDS)
+    return None if limit is None else -limit
+
+
 def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
     """Return the largest distance of contact that ends recordings, where nobody states it, or None.
 
@@ -331,17 +343,22 @@ def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
     most recordings end. Chance leaves no such distance: the last frame is the nearest one rarely.
     ``nearest`` ``(frames,)`` of each recording is how far the nearest pursuer is from the target.
     """
-    known = [one for one in nearest if len(one) > 1 and np.isfinite(one).all()]
+    return _limit_of_ends(nearest, share=MOST_END)
+
+
+def _limit_of_ends(values: Sequence[Floats], share: float = 0.0, least: int = 1) -> float | None:
+    """Return the largest value below which enough recordings come, and do so in the last frame."""
+    known = [one for one in values if len(one) > 1 and np.isfinite(one).all()]
     if len(known) < FEWEST_ENDS:
         return None
     last = np.array([one[-1] for one in known])
     before = np.array([one[:-1].min() for one in known])  # until the last frame
     for limit in sorted(set(last.tolist()), reverse=True):
         ends, came = last <= limit, before <= limit
-        if ends.mean() < MOST_END:
+        if ends.sum() < max(least, share * len(known)):
             return None
         if (ends & ~came).sum() >= AT_LAST * (ends | came).sum():
-            return float(limit) * (1 + SLACK)
+            return float(limit) + abs(float(limit)) * SLACK
     return None
 
 

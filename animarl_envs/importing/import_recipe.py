@@ -90,8 +90,8 @@ class ImportRecipe(Checked):
             "a searcher has no target: leave one of them out",
         )
         require(
-            not (self.searcher and self.scaling.landmarks),
-            "a searcher perceives no landmarks: leave them out",
+            not (self.searcher and (self.scaling.landmarks or self.scaling.obstacles)),
+            "a searcher perceives no landmarks and meets no obstacles: leave them out",
         )
         require(
             self.pursuer is None or (self.target is None and not self.searcher),

@@ -66,7 +66,12 @@ class ChaseSpecies(Species):
     def check_uniform_starts(self) -> None:
         """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
         half = self.start_half_side
-        if not self.arena.contains(np.array([half, half])):
+        line = np.linspace(-half, half, 21)
+        if not self.arena.contains(np.stack(np.meshgrid(line, line), axis=-1)).any():
+            raise InputError(
+                f"start_half_side is {half}: that square lies within obstacles, so make it larger"
+            )
+        if not replace(self.arena, obstacles=()).contains(np.array([half, half])):
             raise InputError(
                 f"start_half_side is {half}: a corner of that square is out of bounds "
                 f"({self.arena.shape}, boundary {self.arena.boundary:g}), so make it smaller"

@@ -13,7 +13,7 @@ from animarl_envs.species.base import Reading
 
 COUNTS = ("num_pursuers", "num_targets")
 """Options that set how many individuals of a role there are; of the other role there is one."""
-OF_THE_ARENA = ("rebound", "boundary", "landmarks")
+OF_THE_ARENA = ("rebound", "boundary", "landmarks", "obstacles")
 """Options that are fields of the arena."""
 
 
@@ -23,8 +23,8 @@ def with_options(species: Species, **options: Any) -> Species:
     ``num_pursuers`` sets the number of pursuers of a chase, renamed ``<kind>_0, <kind>_1, ...``,
     and ``num_targets`` that of the targets of one pursuer, who comes last. ``arena`` is an
     :class:`Arena`, its fields by name, a shape name, or a size, with which the boundary and the
-    square of starts grow; ``rebound``, ``boundary`` and ``landmarks`` (places by name) apply to it.
-    ``locomotion`` is one
+    square of starts grow; ``rebound``, ``boundary``, ``landmarks`` (places by name) and
+    ``obstacles`` (x, y and radius of each) apply to it. ``locomotion`` is one
     :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}``, ``{"female": {"thrust":
     0.19}}`` (also ``damping``, ``magnitudes``) or ``{"female": 1.2}`` (a factor on the thrust).
     ``thrusts`` is the number of thrust magnitudes of every individual, M: who has another number
@@ -150,18 +150,20 @@ def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
     given = options.pop("arena", None)
     changes = {key: options.pop(key) for key in OF_THE_ARENA if key in options}
     if isinstance(given, Mapping):
-        unknown = set(given) - {f.name for f in fields(Arena)}
+        unknown = set(given) - {*(f.name for f in fields(Arena)), "inner"}
         if unknown:
             raise InputError(
                 f"arena has no {sorted(map(str, unknown))[0]!r}: give shape, size, boundary, "
-                "rebound, inner or landmarks"
+                "rebound, landmarks, obstacles or inner"
             )
         given = replace(arena, **given)
     if isinstance(given, Arena):
         arena = given
     elif isinstance(given, str):
         shape, share = parse_shape(given)
-        arena = replace(arena, shape=shape, inner=share * arena.size)  # type: ignore[arg-type]
+        arena = replace(arena, shape=shape, obstacles=(), inner=share * arena.size)
+        if "obstacles" in changes:
+            changes["obstacles"] = (*arena.obstacles, *changes["obstacles"])
     elif is_number(given):
         arena = arena.scaled(float(given))
     elif given is not None:

@@ -52,9 +52,9 @@ class SearchSpecies(Species):
                 f"arena is a {self.arena.shape} but a search is in the open: give a size to draw, "
                 "or Arena('open', size)"
             )
-        if self.arena.landmarks:
+        if self.arena.landmarks or self.arena.obstacles:
             raise InputError(
-                f"a searcher perceives no landmarks: leave {self.arena.landmarks[0][0]} out"
+                "a searcher perceives no landmarks and meets no obstacles: leave them out"
             )
         object.__setattr__(self, "turning", as_turning(self.turning, "turning"))
         object.__setattr__(self, "start_region", self._checked_region())

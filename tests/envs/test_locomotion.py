@@ -141,7 +141,8 @@ def held(
     """What walls make of positions and velocities ``(individuals, copies, 2)``."""
     given = (np.array(a, dtype=np.float64).transpose(0, 2, 1).copy() for a in (position, velocity))
     places, speeds = given
-    rebound((shape, SIZE, 9.0, hole), places, speeds)
+    holes = np.array([[0.0, 0.0, hole]] if hole else np.zeros((0, 3)))
+    rebound((shape, SIZE, 9.0, holes), places, speeds)
     return places.transpose(0, 2, 1), speeds.transpose(0, 2, 1)
 
 

@@ -61,7 +61,7 @@ def test_options_of_the_page_are_those_that_are_accepted(generator, name):
     known = set(said.rpartition("choose one of ")[2].split(", "))
     not_options = {"source", "title", "version_history", "drivers"}
     if not isinstance(species, ChaseSpecies):
-        not_options |= {"num_pursuers", "num_targets", "landmarks"}
+        not_options |= {"num_pursuers", "num_targets", "landmarks", "obstacles"}
     elif species.free:
         not_options |= {"num_targets"}
     assert known - not_options <= listed

@@ -11,7 +11,7 @@ LOOKUPS = (ROOT / "docs" / "contributing.md").read_text().partition("## Look-ups
 ROWS = re.findall(r"^\| (.+) \| `([\w/]+\.py)` \| `([\w.]+)` \|$", LOOKUPS, re.MULTILINE)
 PATH_SECTION = (ROOT / "docs" / "architecture.md").read_text().partition("## Twelve files")[2]
 PATH = re.findall(r"^\| \d+ \| \[`([\w/]+\.py)`\]", PATH_SECTION, re.MULTILINE)
-MOST_CODE = 2_610  # cells of the kernels included
+MOST_CODE = 2_632  # cells of the kernels included
 
 
 def defined_names(path: Path) -> set[str]:

@@ -86,7 +86,7 @@ class Stage {
   }
 
   drawField(context, scale, side, length, value) {
-    const { shape, size, walls, inner, landmarks } = this.data.arena;
+    const { shape, size, walls, obstacles, landmarks } = this.data.arena;
     context.strokeStyle = colourOf("muted");
     context.lineWidth = walls ? 3 : 1;
     context.setLineDash(walls ? [] : [5, 4]);
@@ -95,9 +95,9 @@ class Stage {
     if (shape === "disc") context.arc(x, y, size * scale, 0, 2 * Math.PI);
     if (shape === "square") context.rect(x - size * scale, y - size * scale, 2 * size * scale, 2 * size * scale);
     context.stroke();
-    if (inner) {
+    for (const [...at] of obstacles) {
       context.beginPath();
-      context.arc(x, y, inner * scale, 0, 2 * Math.PI);
+      context.arc(...this.place(at), at[2] * scale, 0, 2 * Math.PI);
       context.stroke();
     }
     context.setLineDash([]);

@@ -386,8 +386,10 @@ const AnimaRL = (() => {
       const K = this.K, { past, memory, delays } = model.senses;
       const scales = (this.scales = past.length + 2 * memory.length + delays.length / 2);
       this.boundary = options.boundary;
-      this.edge = model.arena.rebound ? this.size : this.boundary;
-      this.hole = model.arena.hole * this.size;
+      this.edge = model.arena.rebound ? this.size : this.boundary ?? Infinity;
+      const factor = this.size / model.arena.size, near = model.arena.walled ? 1 : this.size / this.boundary;
+      this.landmarks = options.landmarks.map((at) => at.map((value) => factor * value));
+      this.holes = options.obstacles.map(([x, y, radius]) => [factor * x, factor * y, factor * near * radius]);
       this.past = new Float64Array(copies * scales * K * 2);
       this.towards = new Float64Array(copies * K * 2);
       this.before = new Float64Array(K * 2);
@@ -457,7 +459,7 @@ const AnimaRL = (() => {
         velocity[own + 1] = (1 - this.damping[i]) * velocity[own + 1] + this.thrust[i] * ay * dt;
         position[own] += velocity[own] * dt;
         position[own + 1] += velocity[own + 1] * dt;
-        if (model.arena.rebound) this.#rebound(own);
+        if (model.arena.walled) for (let turn = 0; turn < (this.holes.length ? 3 : 1); turn++) this.#rebound(own);
       }
       const recorded = this.replayed(b);
       if (recorded >= 0) this.follow(b, recorded);
@@ -496,24 +498,28 @@ const AnimaRL = (() => {
 
     #rebound(own) {
       const { position, velocity } = this, size = this.size;
+      for (const hole of this.holes) this.#hold(own, hole, -1);
       if (this.model.arena.shape === "square") {
         for (let x = 0; x < 2; x++) {
           const p = position[own + x], inside = Math.min(size, Math.max(-size, p));
           if (p !== inside && velocity[own + x] * p > 0) velocity[own + x] = 0;
           position[own + x] = inside;
         }
-      } else if (this.model.arena.shape === "disc") {
-        const x = position[own], y = position[own + 1], radius = Math.sqrt(x * x + y * y);
-        const within = radius < this.hole, whole = Math.max(radius, 1e-300);
-        if (radius <= size && !within) return;
-        const back = within ? (this.hole / whole) * (1 + 1e-12) : (size / whole) * (1 - 1e-12);
-        const nx = x / whole, ny = y / whole, outwards = velocity[own] * nx + velocity[own + 1] * ny;
-        const into = within ? Math.min(0, outwards) : Math.max(0, outwards);
-        position[own] = back * x;
-        position[own + 1] = back * y;
-        velocity[own] -= into * nx;
-        velocity[own + 1] -= into * ny;
-      }
+      } else if (this.model.arena.shape === "disc") this.#hold(own, [0, 0, size], 1);
+    }
+
+    /** Hold an individual within a circle (side 1), or out of it (-1). */
+    #hold(own, [middleX, middleY, radius], side) {
+      const { position, velocity } = this, x = position[own] - middleX, y = position[own + 1] - middleY;
+      const out = Math.sqrt(x * x + y * y);
+      if (side * (out - radius) <= 0) return;
+      const whole = Math.max(out, 1e-300), back = (radius / whole) * (1 - side * 1e-12);
+      const nx = x / whole, ny = y / whole, outwards = velocity[own] * nx + velocity[own + 1] * ny;
+      const into = side * Math.max(0, side * outwards);
+      position[own] = middleX + back * x;
+      position[own + 1] = middleY + back * y;
+      velocity[own] -= into * nx;
+      velocity[own + 1] -= into * ny;
     }
 
     #judge(b) {
@@ -527,14 +533,14 @@ const AnimaRL = (() => {
         if (squared < nearest) code = i + 1;
         nearest = Math.min(nearest, squared);
       }
-      if (arena.rebound || code !== TIME_OUT || arena.shape === "open") return code;
+      if (arena.walled || code !== TIME_OUT || arena.shape === "open") return code;
       for (let j = 0; j < K; j++) {
         const i = lone ? j : last - j, x = p[at + 2 * i], y = p[at + 2 * i + 1];
         if (this.absent[i]) continue;
         const out = arena.shape === "square"
           ? Math.max(Math.abs(x), Math.abs(y)) > this.boundary
-          : x * x + y * y > this.boundary * this.boundary || x * x + y * y < this.hole * this.hole;
-        if (out) return (i === last) !== lone && !this.model.free ? TARGET_OUT : PURSUER_OUT;
+          : x * x + y * y > this.boundary * this.boundary;
+        if (out || this.holes.some(([hx, hy, r]) => (x - hx) * (x - hx) + (y - hy) * (y - hy) < r * r)) return (i === last) !== lone && !this.model.free ? TARGET_OUT : PURSUER_OUT;
       }
       return TIME_OUT;
     }
@@ -557,7 +563,7 @@ const AnimaRL = (() => {
         else if (others[0].apart > 0) [ex, ey] = [others[0].dx / others[0].apart, others[0].dy / others[0].apart];
         this.towards[own] = ex;
         this.towards[own + 1] = ey;
-        this.#write(b, i, ex, ey, others.slice(0, senses.first.length - 1 - this.model.arena.landmarks.length));
+        this.#write(b, i, ex, ey, others.slice(0, senses.first.length - 1 - this.landmarks.length));
       }
     }
 
@@ -642,10 +648,10 @@ const AnimaRL = (() => {
           pair(c("OTHER_VELOCITY"), vx + other.dvx, vy + other.dvy);
         }
       });
-      this.model.arena.landmarks.forEach(([, lx, ly], k) => {
-        const rank = senses.first.length - 1 - k, factor = this.size / this.model.arena.size;
-        const dx = factor * lx - x, dy = factor * ly - y, apart = Math.sqrt(dx * dx + dy * dy);
-        const [ahead, left] = apart > 0 ? egocentric(dx / apart, dy / apart, ex, ey) : [0, 0];
+      this.landmarks.forEach(([lx, ly], k) => {
+        const rank = senses.first.length - 1 - k;
+        const dx = lx - x, dy = ly - y, apart = Math.sqrt(dx * dx + dy * dy);
+        const [ahead, left] = apart > 0 && apart < Infinity ? egocentric(dx / apart, dy / apart, ex, ey) : [0, 0];
         pair(column(rank, "LANDMARK_CIRCLE"), ahead, left);
         out[column(rank, "LANDMARK_DISTANCE")] = squash(apart / this.model.arena.size);
       });
@@ -668,7 +674,10 @@ const AnimaRL = (() => {
           [nx, ny] = radius > 0 ? [x / radius, y / radius] : [ex, ey];
         }
         let near = this.edge - far;
-        if (this.hole > 0 && far - this.hole < near) [near, nx, ny] = [far - this.hole, -nx, -ny];
+        for (const [middleX, middleY, hole] of this.holes) {
+          const dx = middleX - x, dy = middleY - y, away = Math.sqrt(dx * dx + dy * dy);
+          if (away - hole < near && away > 0) [near, nx, ny] = [away - hole, dx / away, dy / away];
+        }
         out[column(0, "AT_WALL")] = squash(near / senses.scales[0]);
         out[column(0, "BY_WALL")] = squash(near / senses.scales[1]);
         pair(column(0, "WALL_CIRCLE"), nx * ex + ny * ey, ny * ex - nx * ey);
@@ -867,6 +876,7 @@ const AnimaRL = (() => {
       thrust: Array.from(model.locomotion, (own) => own.thrust),
       arena: model.arena.size, boundary: model.arena.boundary, contact: model.contact_radius,
       time_limit: model.time_limit, warmth: 1, condition: null, absent: [],
+      landmarks: model.arena.landmarks.map(([, x, y]) => [x, y]), obstacles: model.arena.obstacles,
     };
   }
 

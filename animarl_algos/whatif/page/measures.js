@@ -123,12 +123,17 @@ const Measures = (() => {
     else if (shape === "open") m["distance from the start"] = mean(place.map(([x, y]) => Math.hypot(x - place[0][0], y - place[0][1])));
     else {
       const far = shape === "disc" ? radius : place.map(([x, y]) => Math.max(Math.abs(x), Math.abs(y)));
-      const inner = (model.arena.inner / model.arena.size) * options.arena;
-      const wall = far.map((out) => Math.min(options.arena - out, inner > 0 ? out - inner : Infinity));
+      const clear = clearance(options.obstacles, options.arena / model.arena.size);
+      const wall = far.map((out, t) => Math.min(options.arena - out, clear(place[t])));
       m["distance from the wall"] = mean(wall);
       m["share at the wall"] = mean(wall.map((value) => +(value < NEAR_WALL * options.arena)));
     }
     return m;
+  }
+
+  /** Return the distance of a place to the nearest obstacle; factors on their places and radii. */
+  function clearance(obstacles, factor, share = 1) {
+    return ([x, y]) => Math.min(...obstacles.map((at) => Math.hypot(x - factor * at[0], y - factor * at[1]) - share * factor * at[2]));
   }
 
   /** How much individuals point the same way at each step. */
@@ -201,14 +206,15 @@ const Measures = (() => {
     found["slow steps"] = mean(all.flatMap((one) => one.speed.map((value) => +(value < measuring.slow[one.i]))));
     found.turning = mean(all.map((one) => one.angle.reduce((sum, value) => sum + Math.abs(value), 0))) / seconds;
     found["occupancy distance"] = occupancy(all, start, measuring);
-    const margin = measuring.grid ? measuring.grid.reach : 0, hole = arena.hole * options.arena - margin;
+    const margin = measuring.grid ? measuring.grid.reach : 0, closed = arena.shape !== "open";
+    const clear = clearance(options.obstacles, options.arena / arena.size, arena.walled ? 1 : arena.size / arena.boundary);
     const edge = (arena.rebound ? options.arena : options.boundary) + margin;
     const outside = ([x, y]) => {
       const far = arena.shape === "disc" ? Math.hypot(x, y) : Math.max(Math.abs(x), Math.abs(y));
-      return far > edge || far < hole;
+      return (closed && far > edge) || clear([x, y]) < -margin;
     };
     const left = outcome === -1 || outcome === -2;
-    found["somebody outside the arena"] = +(left || (arena.shape !== "open" && all.some((one) => one.place.some(outside))));
+    found["somebody outside the arena"] = +(left || all.some((one) => one.place.some(outside)));
     found["ended by the target leaving"] = +(outcome === -1);
     found["ended by a pursuer leaving"] = +(outcome === -2);
     found["target reached"] = +(outcome > 0);

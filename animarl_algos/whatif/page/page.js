@@ -65,28 +65,42 @@
     ? choice("condition", "Condition", [["", "as recorded"], ...model.conditions.map((name, k) => [k, name])], "")
     : null;
   const absent = new Set(); // pursuers that are taken away
-  const boxes = model.absent ? presence() : [];
+  const pursuers = names.map((_, i) => i).filter((i) => model.roles[i] === "pursuer");
+  const boxes = model.absent ? [presence("Pursuers", "there", pursuers, (i) => names[i], absent, 1)] : [];
+  // Landmarks and obstacles can be hidden and dragged [arena unit of the unchanged arena].
+  const noLandmark = new Set(), noObstacle = new Set();
+  const copied = (places) => places.map((at) => [...at]);
+  let landmarks = copied(usual.landmarks), obstacles = copied(usual.obstacles);
+  if (landmarks.length) boxes.push(presence("Landmarks", "landmark", [...landmarks.keys()], (k) => model.arena.landmarks[k][0], noLandmark, 0));
+  if (obstacles.length) boxes.push(presence("Obstacles", "obstacle", [...obstacles.keys()], (k) => `obstacle ${k + 1}`, noObstacle, 0));
+  if (model.world !== "search" && (model.arena.shape !== "open" || model.arena.walled)) {
+    const more = document.createElement("button");
+    Object.assign(more, { id: "more-obstacles", type: "button", textContent: "Add an obstacle" });
+    more.addEventListener("click", () => { obstacles.push([0, 0, 0.15 * usual.arena]); changed(); });
+    $("controls").append(more);
+  }
+  const shownOf = (places, hidden) => places.map((at, k) => (hidden.has(k) ? at.map((value, axis) => (axis < 2 ? Infinity : value)) : at));
 
-  /** A box for each pursuer that can be removed; the last one stays. */
-  function presence() {
+  /** A box for each thing that can be taken away, of which so many stay. */
+  function presence(title, key, things, nameOf, gone, least) {
     const group = document.createElement("fieldset"), legend = document.createElement("legend");
-    legend.textContent = "Pursuers that are there";
+    legend.textContent = `${title} that are there`;
     group.append(legend);
     $("controls").append(group);
-    const all = names.map((_, i) => i).filter((i) => model.roles[i] === "pursuer").map((i) => {
+    const all = things.map((i) => {
       const label = document.createElement("label"), box = document.createElement("input");
-      Object.assign(box, { id: `control-there-${i}`, type: "checkbox", checked: true });
-      label.append(box, ` ${names[i]}`);
+      Object.assign(box, { id: `control-${key}-${i}`, type: "checkbox", checked: true });
+      label.append(box, ` ${nameOf(i)}`);
       group.append(label);
       return [i, box];
     });
     const mark = () => {
-      absent.clear();
-      all.forEach(([i, box]) => box.checked || absent.add(i));
-      all.forEach(([, box]) => (box.disabled = box.checked && absent.size === all.length - 1));
+      gone.clear();
+      all.forEach(([i, box]) => box.checked || gone.add(i));
+      all.forEach(([, box]) => (box.disabled = box.checked && gone.size === all.length - least));
     };
     all.forEach(([, box]) => box.addEventListener("change", () => { mark(); changed(); }));
-    return [{ reset: () => { all.forEach(([, box]) => (box.checked = true)); mark(); } }];
+    return { reset: () => { all.forEach(([, box]) => (box.checked = true)); mark(); } };
   }
   const kinds = [...new Set(model.quantities.map(({ kind }) => kind))];
   const kind = choice("kind", "Compare", kinds.map((one) => [one, one]), kinds[0]);
@@ -102,6 +116,8 @@
       warmth: factors.warmth || 1,
       condition: condition && condition.value !== "" ? Number(condition.value) : null,
       absent: [...absent],
+      landmarks: shownOf(landmarks, noLandmark),
+      obstacles: shownOf(obstacles, noObstacle),
     };
   }
 
@@ -145,6 +161,15 @@
 
   /** Where the arrow keys that are held point to. */
   const pointed = () => [held.has("ArrowRight") - held.has("ArrowLeft"), held.has("ArrowUp") - held.has("ArrowDown")];
+
+  /** Places that can be dragged, with what moves them: starts of animals, landmarks, obstacles. */
+  function handles() {
+    const { world } = episodes[0], factor = world.size / usual.arena;
+    const moving = (places) => (place, k) => { places[k].splice(0, 2, ...place.map((value) => value / factor)); changed(); };
+    const own = names.map((_, i) => [absent.has(i) ? [Infinity, 0] : [world.position[2 * i], world.position[2 * i + 1]], (place) => moveStart(i, place)]);
+    return [...own, ...[[world.landmarks || [], landmarks], [world.holes || [], obstacles]].flatMap(([shown, places]) =>
+      shown.map((at, k) => [at, (place) => moving(places)(place, k)]))];
+  }
 
   function moveStart(moved, place) {
     const p = episodes[0].world.position;
@@ -222,16 +247,18 @@
       if (model.arena.shape === "disc") pen.arc(...toPixels([0, 0]), size * unit, 0, 2 * Math.PI);
       else pen.rect(...toPixels([-size, size]), 2 * size * unit, 2 * size * unit);
       pen.stroke();
-      if (!model.arena.inner) continue;
-      pen.beginPath();
-      pen.arc(...toPixels([0, 0]), (model.arena.inner / usual.arena) * size * unit, 0, 2 * Math.PI);
-      pen.stroke();
     }
     pen.setLineDash([]);
-    for (const [name, x, y] of model.arena.landmarks) {
-      pen.fillStyle = quiet;
-      pen.fillText(`\u25b2 ${name}`, ...toPixels([(x / usual.arena) * world.size, (y / usual.arena) * world.size]));
+    Object.assign(pen, { strokeStyle: quiet, fillStyle: quiet, lineWidth: 1.5 });
+    for (const [x, y, radius] of world.holes || []) {
+      if (x === Infinity) continue;
+      pen.beginPath();
+      pen.arc(...toPixels([x, y]), radius * unit, 0, 2 * Math.PI);
+      pen.stroke();
     }
+    (world.landmarks || []).forEach((at, k) => {
+      if (at[0] < Infinity) pen.fillText(`\u25b2 ${model.arena.landmarks[k][0]}`, ...toPixels(at));
+    });
     const recorded = model.recorded.paths, start = Number($("start").value);
     if (recorded && !places) {
       const [from, to] = model.recorded.offsets.slice(start, start + 2);
@@ -291,7 +318,7 @@
     stage.focus();
     const place = toArena(event), { world } = episodes[0];
     if (world.steps[0] === 0 && !playing) {
-      const apart = names.map((_, i) => absent.has(i) ? Infinity : Math.hypot(world.position[2 * i] - place[0], world.position[2 * i + 1] - place[1]));
+      const apart = handles().map(([[x, y]]) => Math.hypot(x - place[0], y - place[1]));
       const nearest = apart.indexOf(Math.min(...apart));
       if (apart[nearest] < 0.08 * reach()) dragged = nearest;
     }
@@ -300,7 +327,7 @@
   });
   stage.addEventListener("pointermove", (event) => {
     const place = toArena(event);
-    if (dragged >= 0) moveStart(dragged, place);
+    if (dragged >= 0) handles()[dragged][1](place);
     else if (finger) finger = place;
   });
   for (const kind of ["pointerup", "pointercancel"]) {
@@ -329,6 +356,7 @@
   $("start").addEventListener("change", () => { places = null; stop(); begin(); });
   $("reset").addEventListener("click", () => {
     [...sliders, ...boxes].forEach((one) => one.reset());
+    [landmarks, obstacles] = [copied(usual.landmarks), copied(usual.obstacles)];
     if (condition) condition.value = "";
     places = null;
     changed();

@@ -45,7 +45,7 @@ def start(mask, state):  # type: ignore[no-untyped-def]
     position, velocity, demos, demo = state.position, state.velocity, state.demos, state.demo
     fixed, random, contact_radius = state.fixed, state.random, state.contact_radius
     K, _, B = position.shape
-    hole = state.field[3]
+    holes = state.field[3]
     for b in range(B):
         if not mask[b]:
             continue
@@ -71,24 +71,33 @@ def start(mask, state):  # type: ignore[no-untyped-def]
         while drawing:
             for i in range(K):
                 # Many are hardly ever all apart: after these draws only those in contact are moved.
-                if draws < WHOLE_DRAWS or _is_misplaced(i, b, position, contact_radius, hole):
+                if draws < WHOLE_DRAWS or _is_misplaced(i, b, position, contact_radius, holes):
                     for x in range(2):
                         place = state.half_side * (2.0 * next_uniform(random, b) - 1.0)
                         position[i, x, b] = place
             draws += 1
             drawing = False
             for i in range(K):
-                drawing |= _is_misplaced(i, b, position, contact_radius, hole)
+                drawing |= _is_misplaced(i, b, position, contact_radius, holes)
 
 
 @inline_kernel
-def _is_misplaced(i, b, position, contact_radius, hole):  # type: ignore[no-untyped-def]
-    """Return whether individual ``i`` is in contact with the last one, or in the hole of a ring."""
+def _is_misplaced(i, b, position, contact_radius, holes):  # type: ignore[no-untyped-def]
+    """Return whether individual ``i`` is in contact with the last one, or in an obstacle."""
     last = position.shape[0] - 1
     x, y = position[i, 0, b], position[i, 1, b]
     dx, dy = position[last, 0, b] - x, position[last, 1, b] - y
-    touching = i < last and dx * dx + dy * dy < contact_radius * contact_radius
-    return touching or x * x + y * y < hole * hole
+    misplaced = i < last and dx * dx + dy * dy < contact_radius * contact_radius
+    for k in range(len(holes)):
+        misplaced |= _is_within(x, y, holes[k])
+    return misplaced
+
+
+@inline_kernel
+def _is_within(x, y, hole):  # type: ignore[no-untyped-def]
+    """Return whether a place is in an obstacle."""
+    dx, dy = x - hole[0], y - hole[1]
+    return dx * dx + dy * dy < hole[2] * hole[2]
 
 
 # -- a whole step ---------------------------------------------------------------------------------
@@ -457,7 +466,7 @@ def judge(  # type: ignore[no-untyped-def]
         for b in range(B):  # shared reward: a capture is everybody's
             shared = sharing[b] == 1 and code[b] > 0
             components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
-    shape, _, boundary, hole = field
+    shape, _, boundary, holes = field
     if not walled:
         for j in range(K):  # targets first: their leaving is named before a pursuer's
             i = j if lone else last - j
@@ -468,11 +477,14 @@ def judge(  # type: ignore[no-untyped-def]
                 if shape == SQUARE:
                     out = max(abs(x), abs(y)) > boundary
                 else:
-                    squared = x * x + y * y
-                    out = squared > boundary * boundary or squared < hole * hole
-                    out &= shape == DISC
+                    out = x * x + y * y > boundary * boundary and shape == DISC
                 components[i, BOUNDARY, b] = penalty if out else 0.0
                 code[b] = left if out and code[b] == TIME_OUT else code[b]
+            for k in range(len(holes)):
+                for b in range(B):
+                    out = _is_within(position[i, 0, b], position[i, 1, b], holes[k])
+                    components[i, BOUNDARY, b] = penalty if out else components[i, BOUNDARY, b]
+                    code[b] = left if out and code[b] == TIME_OUT else code[b]
     if lone:  # a touch is the pursuer's
         for b in range(B):
             components[last, TOUCH, b] = 1.0 if code[b] > 0 else 0.0
@@ -513,7 +525,7 @@ def judge_free(  # type: ignore[no-untyped-def]
 ):
     """Judge free animals: leaving ends the episode and costs; time near another may pay."""
     K, _, B = position.shape
-    shape, _, boundary, hole = field
+    shape, _, boundary, holes = field
     for b in range(B):
         code[b] = TIME_OUT
     pairs = shoaling and K <= PAIRED  # else those within reach along x are looked at
@@ -527,7 +539,9 @@ def judge_free(  # type: ignore[no-untyped-def]
             x = position[i, 0, b]
             y = position[i, 1, b]
             far = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
-            out = not walled and shape in (SQUARE, DISC) and (far > boundary or far < hole)
+            out = not walled and shape in (SQUARE, DISC) and far > boundary
+            for k in range(0 if walled else len(holes)):
+                out |= _is_within(x, y, holes[k])
             near = shoaling and not pairs and components[i, ELAPSED, b] > 0.0
             for j in range(K if pairs else 0):
                 dx = position[j, 0, b] - x

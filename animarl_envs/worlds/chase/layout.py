@@ -383,7 +383,7 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, ChaseGroup, GroupSpec]]:
             if rank > 1 or species.free or group.of_focus or kind == PAPER:
                 yield rank, seen, group
     for seen, group in held(ChaseGroup.CENTRE_DISTANCE, ChaseGroup.LANDMARK_CIRCLE):
-        if senses_field and (species.arena.rebound or not group.of_walls):
+        if species.arena.walled and kind != PAPER if group.of_walls else senses_field:
             yield 0, seen, group
     for k in range(len(species.arena.landmarks)):
         for seen, group in held(ChaseGroup.LANDMARK_CIRCLE, len(ChaseGroup)):
@@ -467,7 +467,8 @@ def ranges(
     radius = reach if round_field else math.sqrt(2.0) * reach
     scales = species.scales
     relative = top / min(m.smallest_thrust * scales.dt for m in scales.locomotion)
-    near, inside = NEAR * scales.arena_size, min(0.0 - arena.hole, arena.edge - reach)
+    near, deepest = NEAR * scales.arena_size, max(arena.holes[:, 2], default=0.0)
+    inside = min(0.0 - deepest, arena.edge - reach)
     at_wall, by_wall = (
         (math.tanh(inside / scale), math.tanh(arena.edge / scale))
         for scale in (BODY * scales.arena_size, REACH * scales.arena_size)
@@ -477,7 +478,7 @@ def ranges(
     if bounded and fastest <= 0.0 and species.sense_scales is None:
         hardest = 0.0
         for own in species.locomotion:
-            speed = own.top_speed(species.dt, limit) if arena.rebound else 0.0
+            speed = own.top_speed(species.dt, limit) if arena.walled else 0.0
             stop = -residual(0.0, speed, own.damping) / (own.thrust * species.dt)
             hardest = max(hardest, math.hypot(own.magnitudes[0], stop))
         push = min(HARDEST, hardest * (1.0 + 1e-6))  # rounded velocities may give a hair more

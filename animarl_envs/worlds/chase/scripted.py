@@ -24,6 +24,7 @@ from animarl_envs.locomotion import ACTION_VECTORS, NUM_DIRECTIONS
 from animarl_envs.worlds.streams import ONE, TWO, ZERO
 
 SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
+OBSTACLE = len(SHAPE_CODES)
 LOOKS = 3  # a target looks ahead by thirds of the time in which its thrust carries it half a size
 LEADS = 8  # places at which a pursuer predicts its target
 HORIZON = 2.0  # time to the last of them, in those in which its thrust carries it half a size
@@ -69,7 +70,7 @@ def decide(  # type: ignore[no-untyped-def]
     ``lone``: the last individual pursues all others, else all others pursue it.
     """
     K, _, B = position.shape
-    shape, size, _, hole = field
+    shape, size, _, holes = field
     last, scale = K - 1, 1.0 / size
     flees = (i == last) != lone
     first, end = (0, last) if i == last else (last, K)
@@ -106,8 +107,7 @@ def decide(  # type: ignore[no-untyped-def]
                 if j > first:
                     _keep_nearer(count, scratch)
         if flees:
-            rim = np.float32(_STEEP * (hole * scale + WALL_MARGIN)) if hole > 0.0 else ZERO
-            _flee(shape, rim, reach[i], pushes[i], pairs, count, scratch)
+            _flee(shape, holes, scale, reach[i], pushes[i], pairs, count, scratch)
         else:
             _intercept(shape, contact, reach[i], reach[first], pushes[i], count, scratch)
         for b in range(count):
@@ -212,6 +212,13 @@ def _put(k, cost, opposite, scratch, b):  # type: ignore[no-untyped-def]
     scratch[COST + (k + 6) * BLOCK + b] = opposite
 
 
+@nb.njit(inline="always")
+def _raise(k, cost, opposite, scratch, b):  # type: ignore[no-untyped-def]
+    """Raise the costs of direction ``k`` and of its opposite."""
+    scratch[COST + k * BLOCK + b] += cost
+    scratch[COST + (k + 6) * BLOCK + b] += opposite
+
+
 @inline_kernel
 def _take_best(first, count, scratch):  # type: ignore[no-untyped-def]
     """Compare the costs of the directions, whose first is that action, with the lowest so far."""
@@ -258,20 +265,23 @@ def _place_pursuer(reach, own_reach, count, scratch, out):  # type: ignore[no-un
 
 
 @jit
-def _flee(shape, rim, reach, pushes, pairs, count, scratch):  # type: ignore[no-untyped-def]
+def _flee(shape, holes, scale, reach, pushes, pairs, count, scratch):  # type: ignore[no-untyped-def]
     """Take the action of the least danger at the looks; pursuers are summed two at a time.
 
-    ``rim`` is how far out the hole of a ring repels, as steep as walls; 0 without a hole.
+    Obstacles repel as steeply as walls.
     """
     for k in range(0, pushes.shape[1] - 1, NUM_DIRECTIONS):
         magnitude = np.float32(pushes[0, k])
         carried, pushed = reach[LOOKS - 1, 0], magnitude * reach[LOOKS - 1, 1]
+        scratch[COST:PURSUERS] = ZERO
         if shape == SQUARE:  # compiled for each shape, so that its loop has no branch
-            _cost_walls(SQUARE, rim, carried, pushed, count, scratch)
+            _cost_walls(SQUARE, ZERO, ZERO, ZERO, carried, pushed, count, scratch)
         elif shape == DISC:
-            _cost_walls(DISC, rim, carried, pushed, count, scratch)
-        else:
-            scratch[COST:PURSUERS] = ZERO
+            _cost_walls(DISC, ZERO, ZERO, ZERO, carried, pushed, count, scratch)
+        for hole in range(len(holes)):
+            x, y = np.float32(holes[hole, 0] * scale), np.float32(holes[hole, 1] * scale)
+            rim = np.float32(_STEEP * (holes[hole, 2] * scale + WALL_MARGIN))
+            _cost_walls(OBSTACLE, x, y, rim, carried, pushed, count, scratch)
         for pair in range(pairs):
             for look in range(LOOKS):
                 row = PURSUERS + (2 * pair * LOOKS + look) * 3 * BLOCK
@@ -284,23 +294,35 @@ def _flee(shape, rim, reach, pushes, pairs, count, scratch):  # type: ignore[no-
 
 
 @nb.njit(inline="always")
-def _cost_walls(shape, rim, carried, pushed, count, scratch):  # type: ignore[no-untyped-def]
-    """Write what walls cost where each push leads, and without a push."""
+def _cost_walls(shape, middle_x, middle_y, rim, carried, pushed, count, scratch):  # type: ignore[no-untyped-def]
+    """Add what walls about a middle cost where each push leads, and without a push."""
     for b in range(count):
-        x = _STEEP * (scratch[OWN + b] + carried * scratch[OWN + 2 * BLOCK + b])
-        y = _STEEP * (scratch[OWN + BLOCK + b] + carried * scratch[OWN + 3 * BLOCK + b])
+        x = _STEEP * (scratch[OWN + b] + carried * scratch[OWN + 2 * BLOCK + b] - middle_x)
+        y = _STEEP * (scratch[OWN + BLOCK + b] + carried * scratch[OWN + 3 * BLOCK + b] - middle_y)
         ex, ey = pushed * scratch[FOCUS + b], pushed * scratch[FOCUS + BLOCK + b]
         ex *= _STEEP
         ey *= _STEEP
         x0, x1, x2, x3, x4, x5 = _along(ex, -ey)
         y0, y1, y2, y3, y4, y5 = _along(ey, ex)
-        _put(0, _depth(shape, rim, x + x0, y + y0), _depth(shape, rim, x - x0, y - y0), scratch, b)
-        _put(1, _depth(shape, rim, x + x1, y + y1), _depth(shape, rim, x - x1, y - y1), scratch, b)
-        _put(2, _depth(shape, rim, x + x2, y + y2), _depth(shape, rim, x - x2, y - y2), scratch, b)
-        _put(3, _depth(shape, rim, x + x3, y + y3), _depth(shape, rim, x - x3, y - y3), scratch, b)
-        _put(4, _depth(shape, rim, x + x4, y + y4), _depth(shape, rim, x - x4, y - y4), scratch, b)
-        _put(5, _depth(shape, rim, x + x5, y + y5), _depth(shape, rim, x - x5, y - y5), scratch, b)
-        scratch[COST + NUM_DIRECTIONS * BLOCK + b] = _depth(shape, rim, x, y)
+        _raise(
+            0, _depth(shape, rim, x + x0, y + y0), _depth(shape, rim, x - x0, y - y0), scratch, b
+        )
+        _raise(
+            1, _depth(shape, rim, x + x1, y + y1), _depth(shape, rim, x - x1, y - y1), scratch, b
+        )
+        _raise(
+            2, _depth(shape, rim, x + x2, y + y2), _depth(shape, rim, x - x2, y - y2), scratch, b
+        )
+        _raise(
+            3, _depth(shape, rim, x + x3, y + y3), _depth(shape, rim, x - x3, y - y3), scratch, b
+        )
+        _raise(
+            4, _depth(shape, rim, x + x4, y + y4), _depth(shape, rim, x - x4, y - y4), scratch, b
+        )
+        _raise(
+            5, _depth(shape, rim, x + x5, y + y5), _depth(shape, rim, x - x5, y - y5), scratch, b
+        )
+        scratch[COST + NUM_DIRECTIONS * BLOCK + b] += _depth(shape, rim, x, y)
 
 
 @nb.njit(inline="always")
@@ -313,7 +335,10 @@ def _depth(shape, rim, x, y):  # type: ignore[no-untyped-def]
         depth = depth_x * depth_x + depth_y * depth_y
     elif shape == DISC:
         out = math.sqrt(x * x + y * y)
-        depth = max(ZERO, out - _INSIDE, rim - out)
+        depth = max(ZERO, out - _INSIDE)
+        depth *= depth
+    else:
+        depth = max(ZERO, rim - math.sqrt(x * x + y * y))
         depth *= depth
     return depth
 

@@ -76,7 +76,7 @@ class ChaseSenses(NamedTuple):
     scales: tuple[float, float]  # of the distance to a wall [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
-    hole: float  # radius of the hole of a ring [arena unit]
+    holes: Floats  # (obstacles, 3): x, y and radius [arena unit]
     landmarks: Floats  # (landmarks, 2) [arena unit]
     size: float  # of the arena of training [arena unit]
     limit: int  # of an episode [steps]
@@ -98,7 +98,7 @@ def senses_of(species: ChaseSpecies, observers: Bools) -> ChaseSenses:
         (BODY * scales.arena_size, REACH * scales.arena_size),
         SHAPE_CODES[arena.shape],
         arena.edge,
-        float(arena.hole),
+        arena.holes,
         np.array([place for _, *place in arena.landmarks]).reshape(-1, 2),
         float(scales.arena_size),
         scales.time_limit,
@@ -202,7 +202,7 @@ def observe(  # type: ignore[no-untyped-def]
                     scales,
                     shape,
                     edge,
-                    senses.hole,
+                    senses.holes,
                     observation,
                 )
 
@@ -482,12 +482,12 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
 
 @inline_kernel
 def observe_wall(  # type: ignore[no-untyped-def]
-    i, position, velocity, towards, first, stride, scales, shape, edge, hole, observation
+    i, position, velocity, towards, first, stride, scales, shape, edge, holes, observation
 ):
     """Observe distance and direction of the nearest wall, and own velocity towards and along it.
 
-    Animals that follow a wall keep a distance too small to see in the distance from the centre.
-    From the middle of a disc it lies towards the focus.
+    The wall may be that of an obstacle. Animals that follow a wall keep a distance too small to see
+    in the distance from the centre. From the middle of a disc it lies towards the focus.
     """
     at, by, where = (
         first[0, ChaseGroup.AT_WALL],
@@ -495,7 +495,7 @@ def observe_wall(  # type: ignore[no-untyped-def]
         first[0, ChaseGroup.WALL_CIRCLE],
     )
     fine, coarse = first[0, ChaseGroup.FINE_WALL], first[0, ChaseGroup.COARSE_WALL]
-    per_stride, far, within = np.float32(1.0 / stride), np.float32(edge), np.float32(hole)
+    per_stride, far = np.float32(1.0 / stride), np.float32(edge)
     per_body, per_reach = np.float32(1.0 / scales[0]), np.float32(1.0 / scales[1])
     for b in range(position.shape[2]):
         x = np.float32(position[i, 0, b])
@@ -511,9 +511,25 @@ def observe_wall(  # type: ignore[no-untyped-def]
             out = np.sqrt(x * x + y * y)
             nx = x / out if out > ZERO else ex
             ny = y / out if out > ZERO else ey
-        near = far - out
-        if hole > 0.0 and out - within < near:
-            near, nx, ny = out - within, -nx, -ny
+        observation[i, at, b], observation[i, where, b] = far - out, nx
+        observation[i, where + 1, b] = ny
+    for k in range(len(holes)):
+        middle_x, middle_y = np.float32(holes[k, 0]), np.float32(holes[k, 1])
+        radius = np.float32(holes[k, 2])
+        for b in range(position.shape[2]):
+            dx = middle_x - np.float32(position[i, 0, b])
+            dy = middle_y - np.float32(position[i, 1, b])
+            away = np.sqrt(dx * dx + dy * dy)
+            nearer = away - radius < observation[i, at, b] and away > ZERO
+            per_away = ONE / away if nearer else ONE
+            observation[i, at, b] = away - radius if nearer else observation[i, at, b]
+            nx, ny = observation[i, where, b], observation[i, where + 1, b]
+            observation[i, where, b] = dx * per_away if nearer else nx
+            observation[i, where + 1, b] = dy * per_away if nearer else ny
+    for b in range(position.shape[2]):
+        ex, ey = np.float32(towards[i, 0, b]), np.float32(towards[i, 1, b])
+        near = observation[i, at, b]
+        nx, ny = observation[i, where, b], observation[i, where + 1, b]
         observation[i, at, b] = tanh_of(near * per_body)
         observation[i, by, b] = tanh_of(near * per_reach)
         observation[i, where, b] = bounded(nx * ex + ny * ey)

@@ -124,7 +124,7 @@ class ChaseWorld(World):
                 penalty=species.boundary_penalty,
                 step_cost=species.step_cost,
                 field=arena.field,
-                walled=arena.rebound,
+                walled=arena.walled,
                 lone=species.lone_pursuer,
                 free=free,
                 shoaling=species.shoaling_reward,
@@ -194,7 +194,7 @@ def observing_world(
 ) -> ChaseWorld:
     """Return a world that makes observations of states that are given, and is never stepped.
 
-    Its individuals start at the edge, since a ring has no middle.
+    Its individuals start at the edge, since the middle may be an obstacle.
     """
     count = species.num_individuals
     start = np.full((count, 2), (species.arena.size, 0.0))

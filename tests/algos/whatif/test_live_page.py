@@ -169,8 +169,12 @@ def test_parity_of_the_page_with_python(
         walls = {"rebound": True} if species == "ring" else {}
         if species == "ring":
             demos = replace(
-                demos, arena=Arena("disc", 1.5, 1.6, inner=0.4, landmarks={"stripe": "0,1.5"})
-            )
+                demos,
+                arena=Arena(
+                    "disc", 1.5, 1.6, inner=0.4, landmarks={"stripe": "0,1.5"},
+                    obstacles=("0.8,0.8,0.2",),
+                ),
+            )  # fmt: skip
         made(
             tmp_path, "soft-bc", demos=demos, species=demos.species, rolled_out=False,
             env_kwargs=walls,
@@ -379,6 +383,49 @@ def test_a_pursuer_is_taken_away_and_the_last_one_stays(page: Any) -> None:
     page.wait_for_timeout(400)
     answered(page)
     assert rows.count() == 7 and one.is_checked() and other.is_enabled()
+
+
+def test_landmarks_and_obstacles_are_dragged_hidden_and_added(browser: Any, tmp_path: Path) -> None:
+    demos = few("agent", 4, 2, COPIES)
+    arena = Arena("disc", 1.5, 1.6, landmarks={"lamp": "0.9,0"}, obstacles=("0,-1,0.2",))
+    own = {**demos.provenance, "synthetic": False}
+    demos = replace(demos, arena=arena, species="custom", provenance=own)
+    made(tmp_path, "soft-bc", demos=demos, species="custom", rolled_out=False,
+         env_kwargs={"rebound": True})  # fmt: skip
+    file = write_page(load_run(tmp_path / "soft-bc-0"), tmp_path / "page.html")
+    page, errors = browser.new_page(), []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(file.as_uri())
+    answered(page)
+    stage = page.locator("#stage")
+    stage.scroll_into_view_if_needed()
+    box = stage.bounding_box()
+    unit = box["width"] / 2 / (1.12 * 1.5)
+
+    def world(name: str) -> list[list[float]]:
+        return list(page.evaluate(f"window.animarlPage.episode().world.{name}"))
+
+    def drag(first: list[float], last: list[float]) -> None:
+        middle = box["x"] + box["width"] / 2, box["y"] + box["width"] / 2
+        page.mouse.move(middle[0] + first[0] * unit, middle[1] - first[1] * unit)
+        page.mouse.down()
+        page.mouse.move(middle[0] + last[0] * unit, middle[1] - last[1] * unit)
+        page.mouse.up()
+
+    drag([0.9, 0.0], [0.9, 0.9])
+    assert world("landmarks")[0] == pytest.approx([0.9, 0.9], abs=0.02)
+    drag([0.0, -1.0], [-0.9, -0.9])
+    assert world("holes")[0] == pytest.approx([-0.9, -0.9, 0.2], abs=0.02)
+    page.wait_for_timeout(400)
+    answered(page)
+    assert any("0 [0, 0]" not in text for text in page.locator("#table tr").all_inner_texts())
+    page.uncheck("#control-landmark-0")
+    page.click("#more-obstacles")
+    assert world("landmarks")[0] == [math.inf, math.inf] and len(world("holes")) == 2
+    page.click("#reset")
+    assert world("landmarks") == [[0.9, 0]] and world("holes") == [[0, -1, 0.2]]
+    assert errors == []
+    page.close()
 
 
 @pytest.mark.slow

@@ -100,6 +100,23 @@ def test_a_landmark_is_removed_from_an_arena_of_another_size() -> None:
         parse_change("landmark.remove=moon", marked)
 
 
+def test_obstacles_come_and_go_in_an_arena_of_another_size() -> None:
+    marked = with_options(AGENT, obstacles=[(0.25, 0, 0.1)])
+    texts = ["obstacle.remove=0.25,0,0.1", "arena=x0.5", "obstacle=-50,0,100mm"]
+    (all_three,) = parse_scenarios(texts, marked)
+    changed = with_options(marked, **all_three.options(marked, MM)).arena
+    assert changed.obstacles == ((math.inf, math.inf, 0.05), (-0.1, 0.0, 0.2))
+    (two,) = parse_scenarios(["obstacle=0,0,.1", "obstacle=.5,0,.2"], AGENT)
+    assert two.options(AGENT, MM)["obstacles"] == ((0.0, 0.0, 0.1), (0.5, 0.0, 0.2))
+    with pytest.raises(InputError, match=r"there is no '1': choose one of 0\.25,0,0\.1"):
+        parse_change("obstacle.remove=1", marked)
+    (wrong,) = parse_scenarios(["obstacle=0.3,0"], AGENT)
+    with pytest.raises(InputError, match="give x, y and a positive radius"):
+        wrong.options(AGENT, MM)
+    with pytest.raises(InputError, match="'obstacle' cannot be changed"):
+        parse_change("obstacle=0,0,.1", with_options(AGENT, arena="open"))
+
+
 def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:
     points = parse_change("prey.speed=-20%..+20%/5", AGENT)
     assert [one.amount.value for one in points] == pytest.approx([0.8, 0.9, 1.0, 1.1, 1.2])
@@ -476,7 +493,10 @@ def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
     assert names - shown == {"whatif.csv", "whatif.parquet", "README.md", "report.html"}
     assert len(shown) == len(table)  # a quantity each, as SVG
     assert "figures/figures-01-shift-of-reached-by-change.svg" in shown
-    assert "nobody learns" in (out / "README.md").read_text()
+    text = (out / "README.md").read_text()
+    assert "nobody learns" in text
+    assert "| Demonstrated |" in text and "| Recorded |" not in text  # the agents are synthetic
+    assert "demonstrated" in said and "Recorded" not in said
     again = tmp_path / "again"
     animarl(*arguments, "--out", again)
     for name in names:
@@ -643,7 +663,7 @@ def test_a_whatif_of_five_scenarios_costs_half_a_minute_at_most(tmp_path: Path) 
     assert float(first) < 5.0 and float(whole) < 30.0  # of processor time
     assert "unchanged world" in ran.stdout.splitlines()[0]
     # A sweep has a figure of dose and response besides, of each of seven quantities.
-    assert len([*(tmp_path / "out").rglob("*.*")]) == 4 + 3 * (7 + 7)
+    assert len([*(tmp_path / "out").rglob("*.*")]) == 4 + 7 + 7
 
 
 @pytest.mark.slow

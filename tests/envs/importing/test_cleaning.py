@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from refusals import refuses
 
+from animarl_algos.cli.describing import automatic_decisions
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
@@ -175,6 +176,34 @@ def test_what_ends_mean_is_said_and_mere_ends_are_censored(ends: str, outcome: i
     )  # fmt: skip
     stopped = censored(longer, demos)
     assert stopped.lengths[1] - demos.lengths[1] == (0 if known == "film" else 1)
+
+
+def test_animals_that_end_recordings_by_leaving_are_found() -> None:
+    """Of twenty chases six end where the target crosses 1.1, the others where it is touched."""
+    rng, bodies = np.random.default_rng(0), []
+    for number in range(20):
+        target = np.cumsum(rng.normal(0, 0.01, (61, 2)), axis=0).clip(-0.6, 0.6)
+        pursuer = target + np.array([0.5, 0.0]) * np.linspace(1, 0.1, 61)[:, None]
+        if number < 6:
+            target[:, 0] += np.linspace(0, 1.12 - target[-1, 0], 61)
+            pursuer[:, 0] = target[:, 0] - 0.3
+        bodies.append(np.stack([pursuer, target], axis=1))
+    recordings = [tracks(each, recording=f"r{k:02d}") for k, each in enumerate(bodies)]
+    scaling = Scaling(width=2.0, centre=(0.0, 0.0))
+    recipe = ImportRecipe(target="animal_1", scaling=scaling)
+    demos = demonstrations_from_tracks(recordings, recipe)
+    assert sorted(demos.outcome.tolist()) == [TARGET_OUT] * 6 + [1] * 14
+    assert demos.arena.boundary == pytest.approx(1.12, rel=1e-4) and not arena_of(demos).rebound
+    assert demos.provenance["ends"] == "left" and demos.provenance["left_beyond"] > 1.1
+    assert "6 recordings end where an animal is farther out than 1.12" in " ".join(
+        automatic_decisions(demos)
+    )
+    unclear = demonstrations_from_tracks(recordings[:11], recipe)  # contact ends five of eleven
+    assert sorted(unclear.outcome.tolist()) == [TARGET_OUT] * 6 + [1] * 5
+    film = replace(recipe, cutting=Cutting(ends="film"))
+    assert (demonstrations_from_tracks(recordings, film).outcome == UNFINISHED).all()
+    stayed = demonstrations_from_tracks(recordings[4:], recipe)  # two that leave say nothing
+    assert stayed.provenance["ends"] == "contact" and stayed.arena.boundary == 1.1
 
 
 def test_the_target_that_left_is_told_and_ends_must_go_with_the_cut() -> None:

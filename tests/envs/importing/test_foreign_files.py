@@ -267,6 +267,7 @@ def test_pipes_devices_and_endless_links_are_no_foreign_files(
 def test_pipes_beside_foreign_files_are_refused(tmp_path: Path) -> None:
     """Tables that a reader looks for by itself."""
     path = write_termites(tmp_path)
+    assert read(path, "termites").provenance["files"] == [path.name]  # without its folder
     (tmp_path / "index.csv").unlink()
     os.mkfifo(tmp_path / "index.csv")
     assert "pipe" in refused(path)

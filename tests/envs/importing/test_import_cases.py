@@ -112,9 +112,10 @@ CASES: dict[str, Expected] = {
     "arena_long2.csv --fps 25 --target none": Expected(
         individuals="animal_0 animal_1", rate=25, recordings=2, extent=33.9745
     ),
-    "dash_pairs.csv --fps 25 --target none --arena ring=0.1 --landmark a=0,1 --landmark b=.5,.2": (
+    "dash_pairs.csv --fps 25 --target none --arena ring=0.1 --obstacle .5,0,.2 "
+    "--landmark a=0,1 --landmark b=.5,.2": (
         Expected(
-            individuals="a c", rate=25, prints=("around a hole of 0.1", "landmarks a, b")
+            individuals="a c", rate=25, prints=(" 0,0,0.1 and 0.5,0,0.2", "landmarks a, b")
         )
     ),
     "dash_pairs.csv --fps 25 --target none": Expected(individuals="a c", rate=25, extent=29.25),

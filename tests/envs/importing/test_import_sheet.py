@@ -149,7 +149,8 @@ def test_fish_that_cross_the_middle_are_in_no_ring(tmp_path: Path) -> None:
     out = tmp_path / "fish.npz"
     words = ("--fps", "32", "--target", "none", "--arena", "ring=0.2")
     printed = " ".join(animarl("import", fish, *words, "--out", out).split())
-    assert "around a hole of 0.2" in printed and "otherwise give a smaller hole" in printed
+    assert "obstacles (x,y,radius) 0,0,0.2" in printed
+    assert "otherwise give a smaller obstacle" in printed
     demos = read(out)
-    assert demos.arena.inner == 0.2 and not arena_of(demos).rebound
-    assert describe_ground(replace(demos, arena=replace(demos.arena, inner=0.0))) == []
+    assert demos.arena.obstacles == ((0.0, 0.0, 0.2),) and not arena_of(demos).rebound
+    assert describe_ground(replace(demos, arena=replace(demos.arena, obstacles=()))) == []

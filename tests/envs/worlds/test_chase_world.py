@@ -17,6 +17,7 @@ import benchmarks.paper_readers  # noqa: F401  (registers the readers of publish
 from animarl_envs.arena import SHAPE_CODES, Arena
 from animarl_envs.demos.episode import PURSUER_OUT
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST, Locomotion, apply_actions
@@ -284,6 +285,81 @@ def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
     assert touched > 100
 
 
+SHELTERS = [(0.3, 0.1, 0.2), (-0.9, 0.0, 0.3)]  # the second one sticks out of a disc
+
+
+@pytest.mark.parametrize("shape", ["square", "disc", "open"])
+def test_nobody_enters_an_obstacle(shape: str) -> None:
+    made = world(
+        50, arena=shape, obstacles=SHELTERS, **{"rebound": True} if shape != "open" else {}
+    )
+    rng, met = np.random.default_rng(0), 0
+    for _ in range(120):
+        made.step(rng.choice([0, 6, 6, 6, 3], size=(50, 3)))
+        for x, y, radius in SHELTERS:
+            clear = np.hypot(made.position[..., 0] - x, made.position[..., 1] - y) - radius
+            assert clear.min() > (-0.005 if x < 0 else 0.0)  # between two walls only nearly
+            met += int((clear < 1e-9).sum())
+        assert (made.outcome >= 0).all() and np.isfinite(made.observation).all()
+        made.reset(made.terminated | made.truncated)
+    assert met > 20
+
+
+def test_an_obstacle_takes_the_velocity_into_it_alone() -> None:
+    made = world(1, [[0.55, 0.1], [-0.7, 0.0], [-0.5, 0.5]], arena="open", obstacles=SHELTERS[:1])
+    made.velocity[0, 0] = -1.5, 0.3
+    made.step(np.array([[COAST] * 3]))
+    away = made.position[0, 0] - [0.3, 0.1]
+    assert np.linalg.norm(away) == pytest.approx(0.2)
+    assert made.velocity[0, 0] @ away == pytest.approx(0.0, abs=1e-9)
+    assert made.velocity[0, 0, 1] > 0.2
+
+
+def test_a_removed_obstacle_is_nowhere() -> None:
+    places = [[0.55, 0.1], [-0.7, 0.0], [-0.5, 0.5]]
+    plain = world(1, places, arena="square", rebound=True)
+    arena = Arena("square", 1.0, rebound=True, obstacles=((0.3, 0.1, 0.2),))
+    gone = world(1, places, arena=arena.without_obstacle(arena.obstacles[0]))
+    for made in (plain, gone):
+        made.step(np.array([[0, 0, 3]]))
+    np.testing.assert_array_equal(plain.observation, gone.observation)
+    np.testing.assert_array_equal(plain.position, gone.position)
+    assert [one.name for one in gone.observation_components] == [
+        one.name for one in plain.observation_components
+    ]
+
+
+def test_the_wall_of_an_obstacle_is_perceived_in_an_open_field() -> None:
+    made = world(1, [[0.55, 0.1], [-0.7, 0.0], [0.55, 0.5]], arena="open", obstacles=SHELTERS[:1])
+    seen = {
+        one.name: value for one, value in zip(made.observation_components, made.observation[0, 0])
+    }
+    distance = seen["tanh of distance to the wall / (0.1 size)"]
+    assert distance == pytest.approx(np.tanh(0.05 / 0.1), abs=1e-6)
+    assert seen["direction of the wall cosine"] == pytest.approx(0.0, abs=1e-6)  # focus: upwards
+    assert seen["direction of the wall sine"] == pytest.approx(1.0)
+
+
+def test_starts_are_drawn_outside_obstacles() -> None:
+    made = world(300, arena="square", rebound=True, obstacles=[(0.0, 0.0, 0.6)])
+    assert np.linalg.norm(made.position, axis=2).min() >= 0.6
+    with pytest.raises(InputError, match="lies within obstacles"):
+        world(1, arena="disc", rebound=True, obstacles=[(0.0, 0.0, 0.9)])
+
+
+@pytest.mark.parametrize(
+    "obstacles, sentence",
+    [
+        (["0.3,0"], "give x, y and a positive radius"),
+        ([(0, 0, -1)], "give x, y and a positive radius"),
+        ([(0.1, 0, 5)], "fills the whole disc"),
+    ],
+)
+def test_an_obstacle_is_three_numbers(obstacles: Any, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        world(1, arena="disc", rebound=True, obstacles=obstacles)
+
+
 def test_without_walls_an_episode_ends_in_the_hole_of_a_ring() -> None:
     places = [[0.7, 0.0], [-0.7, 0.0], [0.0, 0.7]]
     made = world(1, places, arena="ring=0.6")
@@ -367,10 +443,11 @@ def moves(
     position, velocity, towards, push = (np.ascontiguousarray(a.transpose(1, 2, 0)) for a in still)
     individuals, _, copies = position.shape
     actions = np.full((individuals, copies), 77, dtype=np.uint64)
+    holes = np.array([[0.0, 0.0, hole]] if hole else np.zeros((0, 3)))
     pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * individuals)
     decide(
         who, position, velocity, push, towards, np.full(individuals, own.damping),
-        np.full(individuals, own.thrust), pushes, DT, (shape, size, size, hole), CONTACT, lone,
+        np.full(individuals, own.thrust), pushes, DT, (shape, size, size, holes), CONTACT, lone,
         actions,
     )  # fmt: skip
     others = np.delete(actions, who, axis=0)
