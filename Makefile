@@ -14,6 +14,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PACKAGES := $(VENV)/.packages
 CORE := .venv-core/bin/python
 # Files of these folders that need what learns or draws.
 NOT_CORE := $(addprefix --ignore=tests/envs/,test_compiling.py \
@@ -37,7 +38,7 @@ demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
 
 # The types take as long as the kernels, so both cores have work; tests then find kernels on disk.
-test: $(STAMP)
+test: $(PACKAGES)
 	$(MAKE) --jobs=2 types lint kernels
 	$(PYTEST) -m "not slow"
 
@@ -72,15 +73,15 @@ fuzz: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz -n $(N) --seed $(SEED)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz --meanings $(M) --seed $(SEED)
 
-lint: $(STAMP)
+lint: $(PACKAGES)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(STAMP)
+types: $(PACKAGES)
 	$(BIN)/mypy
 	$(BIN)/mypy docs/*.py
 
-kernels: $(STAMP)
+kernels: $(PACKAGES)
 	$(BIN)/animarl compile
 
 clean:
@@ -91,9 +92,14 @@ QUIETLY := -q --disable-pip-version-check --no-compile
 
 # torch comes first and by itself, so that no other package can ask for another build of it; which
 # one stands in constraints.txt.
-$(STAMP): pyproject.toml setup.cfg constraints.txt
+$(PACKAGES): pyproject.toml setup.cfg constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
 	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt torch
 	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt -e '.[all,docs]'
 	$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # some are templates, no Python
+	touch $(PACKAGES)
+
+# So that no first step of the checkout waits for a compiler.
+$(STAMP): $(PACKAGES)
+	$(MAKE) kernels
 	touch $(STAMP)

@@ -6,8 +6,9 @@ kernel may hold a part of: an edit of the transition, or another numba, has all 
 anew, and a copy of the package at another path does not. Folders of old sources stay behind, beside
 Python's own ``__pycache__`` files, and may be deleted at any time.
 
-A wheel of a platform (``tools/make_wheel.py``) brings machine code for many processors, which is
-used where nothing was compiled for this one.
+Where that folder lacks a kernel, the code that installation left in the package is taken: a
+checkout is compiled as the last step of ``make .venv/.installed``, for this processor, and a wheel
+of a platform (``tools/make_wheel.py``) brings machine code for many processors.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTIL
 COMPILING = "compiling for this machine, about a minute, once; `animarl compile` does it beforehand"
 SHIPPED, TARGET = _HERE / "machine_code", "target.json"
 """Folder of the machine code that a wheel brings, and the file in it that names the target."""
+_COMPILED = _HERE / "__pycache__"
 FULL_VECTORS = "-vectorizer-maximize-bandwidth"
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
@@ -261,27 +263,29 @@ def shipped_target() -> Target | None:
 
 
 class KernelCache(FunctionCache):  # type: ignore[misc]
-    """The machine code of a kernel on disk: made for this machine, or else a wheel's."""
+    """The machine code of a kernel on disk: of the usual folder, or else what installation left."""
 
     _impl_class = KernelCacheParts
-    takes_shipped: ClassVar[bool] = True
+    takes_installed: ClassVar[bool] = True
 
     def _load_overload(self, signature: Any, context: Any) -> Any:
-        own = super()._load_overload(signature, context)  # type: ignore[no-untyped-call]
-        target = shipped_target() if own is None and self.takes_shipped else None
-        if target is None:
-            return own
-        folder = SHIPPED.joinpath(*Path(self.cache_path).parts[-2:])  # key of sources, module
-        file: Any = IndexDataCacheFile(str(folder), self._impl.filename_base, "")  # type: ignore[no-untyped-call]
-        data = file.load(self._index_key(signature, target))  # type: ignore[no-untyped-call]
-        return None if data is None else self._impl.rebuild(context, data)
+        kept = super()._load_overload(signature, context)  # type: ignore[no-untyped-call]
+        places = ((_COMPILED, context.codegen()), (SHIPPED, shipped_target()))
+        for root, target in places if self.takes_installed else ():
+            folder = root.joinpath(*Path(self.cache_path).parts[-2:])  # key of sources, module
+            if kept is not None or target is None or not folder.is_dir():
+                continue
+            file: Any = IndexDataCacheFile(str(folder), self._impl.filename_base, "")  # type: ignore[no-untyped-call]
+            data = file.load(self._index_key(signature, target))  # type: ignore[no-untyped-call]
+            kept = None if data is None else self._impl.rebuild(context, data)
+        return kept
 
 
 @functools.cache
 def _folder(package: str, of_user: str) -> Path:
     """Return the folder for a package's machine code; in ``NUMBA_CACHE_DIR`` if that is set."""
     name = f"kernels-{source_key(package)}"
-    usual = (_HERE / "__pycache__", Path(_user_cache_dir("animarl", appauthor=False)))
+    usual = (_COMPILED, Path(_user_cache_dir("animarl", appauthor=False)))
     for root in (Path(of_user),) if of_user else usual:
         if _can_write(root / name):
             return root / name

@@ -41,6 +41,7 @@ EPISODE = 25  # steps of a repeat of a single environment: an episode of simple_
 # view in times MPE2; of gym.make in steps per second where MPE2 makes 4 thousand.
 NUMPY_AIMS = {"agent": 5.0, "fly": 5.0, "newt": 5.0, "silkmoth": 3.0}
 MPE2_WORLD_AIM, PARALLEL_AIM, MAKE_AIM = 5_000.0, 22.0, 120_000 / 4_000
+PACKAGED_AIM = 1.0  # microseconds of a copy and step of all opponents
 
 
 class Rate(NamedTuple):
@@ -158,9 +159,9 @@ def fastest(name: str) -> dict[str, Any]:
     return {"id": id_, "observation": "compact"}
 
 
-def vector_rate(name: str, copies: int, seconds: float) -> Rate:
+def vector_rate(name: str, copies: int, seconds: float, **options: Any) -> Rate:
     """Steps through the VectorEnv, the resets of ended copies included."""
-    env = gym.make_vec(**fastest(name), num_envs=copies)
+    env = gym.make_vec(**fastest(name), num_envs=copies, **options)
     env.reset(seed=0)
     actions = np.random.default_rng(0).integers(13, size=copies)
     return rate(lambda: env.step(actions), copies, seconds)
@@ -285,6 +286,19 @@ def main() -> None:
             wanted_text,
             ("yes" if met else "no") if aim else "",
         )
+    console.print(table)
+
+    table = Table(title="Opponents in 1,024 copies of gym.make_vec, microseconds a copy and step")
+    for heading in ("task", "scripted", "packaged", "aim", "met"):
+        table.add_column(heading, justify="right" if heading != "task" else "left")
+    for name in ("agent", "fly", "newt"):
+        scripted, packaged = (
+            1e6 / vector_rate(name, 1024, seconds, others=rule).best
+            for rule in ("scripted", "packaged")
+        )
+        met = "yes" if packaged - scripted <= PACKAGED_AIM else "no"
+        aim = f"{scripted + PACKAGED_AIM:.2f}"
+        table.add_row(name, f"{scripted:.2f}", f"{packaged:.2f}", aim, met)
     console.print(table)
 
     table = Table(title="DTW of two paths of 150 points")

@@ -147,8 +147,9 @@ What to know:
   (`AutoresetMode.NEXT_STEP`), or at once with `autoreset_mode="SameStep"`.
 - All individuals of a chase have the same observation and action spaces and end together. You need
   neither padding nor `black_death`.
-- The first step on a machine compiles for some seconds and says so; `animarl compile` does it
-  beforehand, for all species.
+- `make` compiles the kernels of a checkout as it installs it, and a wheel of a platform brings
+  them. From a source archive the first step on a machine compiles for about a minute and says so;
+  `animarl compile` does it beforehand ([the first step](scale.md#the-first-step)).
 - Tasks, such as `AnimaRL/AgentTask-v0`, have compact observations, 10 to 20 numbers for a chase.
   Animals' worlds show all that this package's own models see; `observation="compact"` shortens it.
 - `infos` of the parallel view have the same flat numbers at reset and at every step.

@@ -63,7 +63,8 @@ class Place(NamedTuple):
 def compile_command() -> None:
     """Compile the kernels of every species for this machine, so that no first step waits for it.
 
-    A wheel of your platform brings kernels for many processors; these here are of your own.
+    `make` does it as it installs a checkout. A wheel of your platform brings kernels for many
+    processors; these here are of your own.
 
     Example:
 
@@ -77,7 +78,7 @@ def compile_command() -> None:
     from animarl_envs.species import COMPACT, SPECIES
     from animarl_envs.worlds import demonstration_observations
 
-    KernelCache.takes_shipped = False
+    KernelCache.takes_installed = False
     for name in SPECIES:
         before = perf_counter()
         for observation in (COMPACT, "full"):  # "paper" has the kernels of "full"

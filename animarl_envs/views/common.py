@@ -132,6 +132,8 @@ class FocalView(View):
         if focal not in names:
             raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
         rest = [name for name in names if name != focal]
+        if others == PACKAGED and not rest:
+            raise InputError(f"others is 'packaged', but {focal} is alone: leave others out")
         replayed = scenario.paired and find_task(species) is None
         usual: Any = "replay" if replayed else "scripted"
         rules: dict[str, Any] = dict.fromkeys(rest, usual if others is None else others)

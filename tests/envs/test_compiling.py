@@ -91,6 +91,19 @@ def test_the_users_own_folder_is_kept_to(copied: Path, tmp_path: Path) -> None:
     assert not list((copied / "animarl_envs").glob("__pycache__/kernels-*"))
 
 
+def test_another_folder_takes_what_the_installation_compiled_until_a_source_is_edited(
+    copied: Path, tmp_path: Path
+) -> None:
+    assert run_kernel(copied)[:2] == (13.5, 0)  # as `make .venv/.installed` does
+    empty = {"NUMBA_CACHE_DIR": str(tmp_path / "empty")}
+    assert run_kernel(copied, **empty)[:2] == (13.5, 1)
+    assert not list((tmp_path / "empty").rglob("*.nbc"))
+    other = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    assert run_kernel(copied, **empty, **other)[:2] == (13.5, 0)  # code of another processor
+    edit(copied / "animarl_envs" / "locomotion.py", "(1.0 - damping) * v", "(2.0 - damping) * v")
+    assert run_kernel(copied, **empty)[:2] == (14.5, 0)
+
+
 def test_a_read_only_install_uses_a_temporary_folder_and_says_so_once(
     copied: Path, tmp_path: Path
 ) -> None:
@@ -145,8 +158,10 @@ def test_worlds_with_and_without_recordings_have_the_same_kernels(name: str) -> 
 
 FIRST_STEP = """
 import gymnasium, animarl_envs
+from animarl_envs.compiling import KernelCache
 from numba.core import event
 
+KernelCache.takes_installed = False
 with event.install_recorder("numba:compile") as compiled:
     env = gymnasium.make("AnimaRL/AgentTask-v0")
     env.reset(seed=0)

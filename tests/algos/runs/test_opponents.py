@@ -69,6 +69,7 @@ def test_packaged_opponents_of_a_copy_are_those_of_a_single_environment() -> Non
     ("name", "options", "said"),
     [
         ("Shoal", {}, "no network of shoal comes with the package, only of agent, fly, newt"),
+        ("Silkmoth", {}, "others is 'packaged', but moth is alone: leave others out"),
         ("Fly", {"senses_past": True}, "leave these options out"),
         ("Agent", {"num_pursuers": 3, "start": "uniform"}, "leave these options out"),
         ("Agent", {"thrusts": 2}, "leave these options out"),
