@@ -477,7 +477,8 @@ def automatic_decisions(demos: Demonstrations) -> list[str]:
     holes, edged = demos.arena.obstacles, demos.species == CUSTOM and "searcher" not in demos.roles
     if edged and (beyond := share_beyond(demos)) > MAY_BE_BEYOND:
         sentences.append(
-            f"{100 * beyond:.1f} % of the frames of an animal lie clearly beyond the arena's edge, "
+            f"{100 * beyond:.1f} % of the frames of an animal lie clearly beyond the arena's edge"
+            f"{' or in an obstacle' * bool(holes)}, "
             "so no wall stands there, and leaving the boundary ends a simulated episode: "
             f"otherwise give a {'smaller obstacle' if holes else 'wider --arena-width'}"
         )
