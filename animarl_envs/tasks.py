@@ -41,10 +41,11 @@ def _task(base: Species, **changes: Any) -> Task:
 
 _AROUND: dict[str, Any] = {"start": "uniform", "start_region": (-0.1, 0.4, 0.25)}
 TASKS: Mapping[str, Task] = {
-    # The target is as much faster as in simple_tag, and walls keep it in.
+    # Targets are as much faster as in simple_tag. Walls keep agents in; a dish has none, for along
+    # them a female gets away from pursuers by always turning to one side.
     "AgentTask": _task(AGENT, rebound=True, locomotion={"prey": 1.3}),
-    "FlyTask": _task(FLY, contact_radius=0.1, locomotion={"female": 1.15}),
-    "NewtTask": _task(NEWT),
+    "FlyTask": _task(FLY, contact_radius=0.1, rebound=False, locomotion={"female": 1.3}),
+    "NewtTask": _task(NEWT, locomotion={"female": 1.3}),
     "SilkmothTask": _task(SILKMOTH, **_AROUND),
     # Nothing but the odour is observed: a task for policies with a memory.
     "SilkmothMemory": _task(SILKMOTH, **_AROUND | {"observation": "odour"}),

@@ -63,12 +63,10 @@ STEPS = {
     "SilkmothTask": 1_000_000,
     "SilkmothMemory": 2_000_000,
     "AgentTask:prey": 500_000,
-    "FlyTask:female": 4_000_000,
+    "FlyTask:female": 2_000_000,
     "NewtTask:female": 2_000_000,
 }
-"""Steps of training, the same for both learners; those of a task hold for its other pursuers.
-Those of a male fly were chosen by pilots of PPO with seeds 10 to 12; those of females are what time
-allowed: a longer training still adds a little."""
+"""Steps of training, the same for both learners; those of a task hold for its other pursuers."""
 SETTINGS: dict[str, Any] = {
     "n_steps": ROLLOUT, "batch_size": 2048, "n_epochs": 5, "gamma": 0.998, "gae_lambda": 0.95,
     "learning_rate": 1e-3, "ent_coef": 0.005, "device": "cpu",
@@ -257,7 +255,7 @@ def clone_row(task: str, episodes: int) -> float | None:
     count, flagged = world.num_individuals, len(world.observation_components)
     flag = model.observation_space.shape[0] - flagged  # clones of two conditions are told which
     if flag not in (0, 1):
-        return None  # it never saw the walls of the agents' task
+        return None  # it saw walls, or none, and the task has it the other way
     total, running, state = np.zeros(episodes), np.ones(episodes, bool), None
     begun = np.ones(episodes * count, bool)
     while running.any():
