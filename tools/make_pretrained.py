@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import shutil
 import subprocess
 import sys
@@ -77,15 +78,19 @@ def make(
         export_best(species, runs, [*given, *(f"--seed {seed}" for seed in seeds)])
 
 
-def make_living(out: Path, names: Sequence[str], seeds: Sequence[int], processes: int) -> None:
+def make_living(
+    out: Path, names: Sequence[str], seeds: Sequence[int], settings: Sequence[str], processes: int
+) -> None:
     """Run published sets, and export for each the model of one seed, without recorded tracks."""
     for name in names:
         runs = {f"seed {seed}": Run(out / f"{name}-{seed}") for seed in seeds}
         for seed, run in zip(seeds, runs.values()):
             words = ["run", name, "--seed", seed, "--out", run.path, "--processes", processes]
+            words += [f"--set={one}" for one in settings]
             command = [sys.executable, "-m", "animarl_algos.cli.main", *map(str, words)]
             subprocess.run(command, check=True)
         given = [f"--living {name}", *(f"--seed {seed}" for seed in seeds)]
+        given += [f"--set {shlex.quote(one)}" for one in settings]
         export_best(name, runs, given, simulated=True)
 
 
@@ -120,6 +125,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/bench-short"), help="keeps runs")
     parser.add_argument("--species", action="append", help="by default all packaged; repeatable")
     parser.add_argument("--living", action="append", help="a published set; repeatable")
+    parser.add_argument("--set", action="append", default=[], help="of --living; repeatable")
     parser.add_argument("--recipe", action="append", help=f"{by_default}; repeatable")
     parser.add_argument("--seed", action="append", type=int, help=f"{by_default}; repeatable")
     parser.add_argument("--processes", type=int, default=1)
@@ -129,7 +135,8 @@ def main() -> None:
         own = {file.parent.name for file in FOLDER.glob(f"*/{METRICS}")} & {*packaged_names()}
         return judge(given.species or sorted(own))
     if given.living:
-        return make_living(given.out, given.living, given.seed or [0], given.processes)
+        seeds = given.seed or [0]
+        return make_living(given.out, given.living, seeds, given.set, given.processes)
     names = given.species or packaged_names()
     recipes, seeds = given.recipe or preset.recipes, given.seed or preset.seeds
     make(given.out, names, recipes, seeds, given.processes)
