@@ -34,7 +34,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import stated_options
 
 LARGEST = 3_000_000  # [bytes]
-LIVING = {"termites", "termites_alone"}
+LIVING = {"termites", "termites_alone", "locusts"}
 
 
 @pytest.fixture(scope="module")
