@@ -44,7 +44,13 @@ TASKS: Mapping[str, Task] = {
     # Targets are as much faster as in simple_tag. Walls keep agents in; a dish has none, for along
     # them a female gets away from pursuers by always turning to one side.
     "AgentTask": _task(AGENT, rebound=True, locomotion={"prey": 1.3}),
-    "FlyTask": _task(FLY, contact_radius=0.1, rebound=False, locomotion={"female": 1.3}),
+    "FlyTask": _task(
+        FLY,
+        contact_radius=0.1,
+        rebound=False,
+        boundary_penalty=-2.0,
+        locomotion={"female": 1.3},
+    ),
     "NewtTask": _task(NEWT, locomotion={"female": 1.3}),
     "SilkmothTask": _task(SILKMOTH, **_AROUND),
     # Nothing but the odour is observed: a task for policies with a memory.

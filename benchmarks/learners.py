@@ -197,7 +197,7 @@ def paper_run(steps: int) -> tuple[float, float, float]:
     training = (time.perf_counter() - start) / steps * PAPER_STEPS
     per_update = steps / (model._n_updates - updates)
 
-    scenario = make_scenario(AGENT, split="val")
+    scenario = make_scenario(AGENT, split="val", observation=env.scenario.species.observation)
     assert scenario.demos is not None
     start = time.perf_counter()
     rollouts = collect_rollouts(

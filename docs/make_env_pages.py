@@ -163,7 +163,7 @@ SCORES = (
     "equal to those here, digit for digit. Behind a colon stands who acts, else the first pursuer "
     "does. Rows of chases are of few seeds and few steps: a learner with more may earn more. "
     "Targets have 1.3 times their thrust. Who leaves the flies' dish ends the episode and pays "
-    "10, so that no female gets away by always turning to one side along a wall. The tasks and the "
+    "2, so that no female gets away by always turning to one side along a wall. The tasks and the "
     "numbers of steps were chosen on pilots of PPO with seed 10, which is in no row. The packaged "
     "demonstrations are synthetic; their animals started elsewhere and met no opponents but each "
     "other. The packaged clone of flies saw walls, so it has no row."
