@@ -161,7 +161,7 @@ SCORES = (
     "1 for the best learner. RecurrentPPO's rows of moths with all senses were made on another "
     "machine (Python 3.12.3, PyTorch 2.11.0, commit 9561591), whose rows without learning are "
     "equal to those here, digit for digit. Behind a colon stands who acts, else the first pursuer "
-    "does. Rows of chases are of few seeds and few steps: a learner with more may earn more. "
+    "does. Rows of chases are of two seeds and few steps: a learner with more may earn more. "
     "Targets have 1.3 times their thrust. Who leaves the flies' dish ends the episode and pays "
     "2, so that no female gets away by always turning to one side along a wall. The tasks and the "
     "numbers of steps were chosen on pilots of PPO with seed 10, which is in no row. The packaged "
