@@ -139,14 +139,16 @@ def bars(rows: list[list[str]]) -> list[str]:
     for env, of_env in groupby(rows, key=lambda row: row[0]):
         own = list(of_env)
         top = {row[1]: max(float(of[5]) for of in own if of[1] == row[1]) for row in own}
+        earned = {row[1].partition(" ")[0]: row[3] for row in own}
+        best = next(row for row in own if row[5] == "1.00" and row[6])
         constant = next(score for policy, score in top.items() if policy.startswith("constant"))
-        aims = [("best constant action at most 0.35", f"{constant:.2f}", constant <= 0.35)]
-        for _, policy, _, earned, *_ in own:
-            if policy == "scripted":
-                best = next(row for row in own if row[5] == "1.00" and row[6])
-                low = best[4].partition(" to ")[0] or best[3]
-                aims += [("best learner's worst seed above the script", f"{low} and {earned}",
-                          float(low) > float(earned))]  # fmt: skip
+        returns = f"returns {earned['constant']} of {best[3]}, random {earned['random']}"
+        aims = [("score of the best constant action at most 0.35", f"{constant:.2f} ({returns})",
+                 constant <= 0.35)]  # fmt: skip
+        if script := earned.get("scripted"):
+            low = best[4].partition(" to ")[0] or best[3]
+            aims += [("best learner's worst seed above the script", f"{low} and {script}",
+                      float(low) > float(script))]  # fmt: skip
         if env.endswith("Memory-v0`") and {"PPO", "RecurrentPPO"} <= top.keys():
             share = top["PPO"] / top["RecurrentPPO"]
             aims += [("PPO at most 0.7 of RecurrentPPO", f"{share:.2f}", share <= 0.7)]
