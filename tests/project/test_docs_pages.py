@@ -50,7 +50,8 @@ def test_pages_are_up_to_date(generator):
 def test_the_aim_for_the_best_constant_action(generator, score, word):
     policies = {"random": "0.00", "constant 1 of 13": score, "PPO": "1.00"}
     rows = [["`Task`", policy, "", "1.0", "", earned, "1"] for policy, earned in policies.items()]
-    assert f"at most 0.35: {score}, {word}" in generator.bars(rows)[0]
+    returns = "(returns 1.0 of 1.0, random 1.0)"
+    assert f"at most 0.35: {score} {returns}, {word}" in generator.bars(rows)[0]
 
 
 @pytest.mark.parametrize("name", SPECIES)
