@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -33,7 +34,7 @@ Groups = Mapping[str, tuple[pd.DataFrame, str]]
 def violin(panel: Axes, place: int, values: Floats, colour: str) -> None:
     """Draw the density of values, some of them as dots, and their median."""
     if np.ptp(values) > 0:
-        shapes: Any = panel.violinplot(values, [place], widths=0.8, showextrema=False, points=40)
+        shapes: Any = panel.violinplot(values, [place], widths=0.8, showextrema=False, points=30)
         for body in shapes["bodies"]:
             body.set(facecolor=colour, edgecolor=colour, alpha=0.35)
     kept = np.linspace(0, len(values) - 1, min(len(values), MOST_DOTS)).astype(int)
@@ -209,5 +210,7 @@ def draw_adapted(findings: Findings) -> Figure:
 def save_svg(figure: Figure, alt: str, file: Path) -> None:
     """Write a drawing on white ground; the same figure gives the same bytes."""
     head, bracket, body = style.to_image(figure, alt).drawing.partition(">")
+    body = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), body)
+    body = re.sub(r"\n +", "\n", body)
     ground = '<rect width="100%" height="100%" fill="#ffffff"/>'
     file.write_text(f"{head}{bracket}{ground}{body}\n", encoding="utf-8")
