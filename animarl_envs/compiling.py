@@ -270,15 +270,17 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def _load_overload(self, signature: Any, context: Any) -> Any:
         kept = super()._load_overload(signature, context)  # type: ignore[no-untyped-call]
-        places = ((_COMPILED, context.codegen()), (SHIPPED, shipped_target()))
-        for root, target in places if self.takes_installed else ():
+        if kept is not None or not self.takes_installed:
+            return kept
+        for root, target in ((_COMPILED, context.codegen()), (SHIPPED, shipped_target())):
             folder = root.joinpath(*Path(self.cache_path).parts[-2:])  # key of sources, module
-            if kept is not None or target is None or not folder.is_dir():
+            if target is None or not folder.is_dir():
                 continue
             file: Any = IndexDataCacheFile(str(folder), self._impl.filename_base, "")  # type: ignore[no-untyped-call]
             data = file.load(self._index_key(signature, target))  # type: ignore[no-untyped-call]
-            kept = None if data is None else self._impl.rebuild(context, data)
-        return kept
+            if data is not None:
+                return self._impl.rebuild(context, data)
+        return None
 
 
 @functools.cache

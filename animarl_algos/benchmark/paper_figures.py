@@ -210,6 +210,7 @@ def draw_adapted(findings: Findings) -> Figure:
 def save_svg(figure: Figure, alt: str, file: Path) -> None:
     """Write a drawing on white ground; the same figure gives the same bytes."""
     head, bracket, body = style.to_image(figure, alt).drawing.partition(">")
+    # Hundredths of a point and no indentation: a quarter of the bytes less.
     body = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), body)
     body = re.sub(r"\n +", "\n", body)
     ground = '<rect width="100%" height="100%" fill="#ffffff"/>'

@@ -20,8 +20,7 @@ from stable_baselines3.common.vec_env import (
     unwrap_vec_normalize,
 )
 
-from animarl_algos.data.species_data import SpeciesDemonstrations
-from animarl_algos.data.vec_env import LABEL_OPTIONS
+from animarl_algos.data.species_data import LABEL_OPTIONS, SpeciesDemonstrations
 from animarl_algos.losses.terms import Recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -100,8 +99,8 @@ class SlotLayout:
         flagged = bool(declared(env, "condition_flag"))
         if flagged and not is_observed_as_declared(env, "condition_flag"):
             raise InputError(
-                "a wrapper around the condition flag changes the observation, whose last component "
-                "must be the flag: put the condition flag outermost, or leave that wrapper out"
+                "a wrapper around the condition flag changes the observation, and the flag must be "
+                "the last component: put the condition flag outermost, or leave that wrapper out"
             )
         observed = getattr(env, "observed", ())
         known = observed if isinstance(observed, tuple) else ()  # another's word for something else
@@ -265,7 +264,7 @@ def longest_episode(env: Any, given: int | None) -> int | None:
 
 
 def check_episodes_fit(env: VecEnv, given: int | None, held: int | None) -> None:
-    """Refuse an environment whose episodes may last longer than a replay memory holds [steps]."""
+    """Refuse episodes that may last longer than a replay memory holds [steps]."""
     limit = given or declared_limit(env)
     if limit is not None and held is not None and limit > held:
         raise InputError(

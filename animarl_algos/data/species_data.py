@@ -29,6 +29,8 @@ from animarl_envs.worlds import (
 Horizon = Annotated[float, Ge(1)]  # [steps]
 PER_ACTION, PER_COMPONENT = 44, 12
 """Bytes of a frame and individual while labels and observations are made."""
+LABEL_OPTIONS = ("labels", "label_width", "label_horizon")
+"""Options of an environment that say how its demonstrations are labelled."""
 
 
 class Labels(StrEnum):

@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
+from animarl_algos.data.species_data import (
+    LABEL_OPTIONS,
+    SpeciesDemonstrations,
+    check_labels,
+)
 from animarl_envs.array_types import Bools, Ints
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
@@ -37,7 +41,6 @@ from animarl_envs.worlds import make_world
 from animarl_envs.wrappers import Cue, check_cue, cue_of, with_flag
 
 SCENARIO_OPTIONS = ("condition", "observation_noise", "observation_delay")
-LABEL_OPTIONS = ("labels", "label_width", "label_horizon")
 OWN_OPTIONS = ("split", "focal", "condition_flag", "cue", "dtw", *LABEL_OPTIONS)
 """Options of :class:`SlotVecEnv`: the scenario's, and its own."""
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-import scipy.linalg.cython_blas  # noqa: F401 (of the products; limits reach what is loaded)
 import torch
 from numpy.typing import NDArray
 

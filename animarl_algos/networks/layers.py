@@ -179,6 +179,9 @@ class StackedGRU(nn.Module):
     """
 
     def __init__(self, inputs: int, units: int, generators: list[torch.Generator]) -> None:
+        # The kernels' products run in it; limits of threads reach what is loaded before them.
+        import scipy.linalg.cython_blas  # noqa: F401
+
         super().__init__()
         bound = 1 / math.sqrt(units)
         self.weight_input = _uniform((inputs, 3 * units), bound, generators)

@@ -154,7 +154,7 @@ def learn(
     Goes on from the last checkpoint, exactly. So many ``processes`` choose how to act.
     """
     torch.set_num_threads(1)
-    with threadpool_limits(1), run.lock():
+    with run.lock():
         fit(run)
         settings, logs = run.settings, run.path / "logs"
         checkpoints = run.path / "checkpoints" / algo
@@ -169,6 +169,7 @@ def learn(
             load_checkpoint(model, checkpoints)
         session = logs / algo / f"{len(list((logs / algo).glob('[0-9]*'))):03d}"
         with (
+            threadpool_limits(1),
             run.timed(f"training {method_name(algo)}"),
             closing(configure(str(session), ["csv", "tensorboard"])) as logger,
         ):

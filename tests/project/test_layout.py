@@ -88,11 +88,11 @@ BUDGETS = {
     "animarl_envs.importing": 57_845,
     "animarl_envs.species": 7_067,
     "animarl_envs.views": 5_869,
-    "animarl_envs.worlds": 38_975,
+    "animarl_envs.worlds": 38_901,
     "animarl_envs.wrappers": 2_120,
 }
 """Most tokens of each folder, as ``tools.lines`` counts them; lower them as folders shrink."""
-ALL_TOKENS = 357_230
+ALL_TOKENS = 357_153
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 3_131
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""

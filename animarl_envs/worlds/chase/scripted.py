@@ -212,13 +212,6 @@ def _put(k, cost, opposite, scratch, b):  # type: ignore[no-untyped-def]
     scratch[COST + (k + 6) * BLOCK + b] = opposite
 
 
-@nb.njit(inline="always")
-def _raise(k, cost, opposite, scratch, b):  # type: ignore[no-untyped-def]
-    """Raise the costs of direction ``k`` and of its opposite."""
-    scratch[COST + k * BLOCK + b] += cost
-    scratch[COST + (k + 6) * BLOCK + b] += opposite
-
-
 @inline_kernel
 def _take_best(first, count, scratch):  # type: ignore[no-untyped-def]
     """Compare the costs of the directions, whose first is that action, with the lowest so far."""
@@ -304,25 +297,20 @@ def _cost_walls(shape, middle_x, middle_y, rim, carried, pushed, count, scratch)
         ey *= _STEEP
         x0, x1, x2, x3, x4, x5 = _along(ex, -ey)
         y0, y1, y2, y3, y4, y5 = _along(ey, ex)
-        _raise(
-            0, _depth(shape, rim, x + x0, y + y0), _depth(shape, rim, x - x0, y - y0), scratch, b
-        )
-        _raise(
-            1, _depth(shape, rim, x + x1, y + y1), _depth(shape, rim, x - x1, y - y1), scratch, b
-        )
-        _raise(
-            2, _depth(shape, rim, x + x2, y + y2), _depth(shape, rim, x - x2, y - y2), scratch, b
-        )
-        _raise(
-            3, _depth(shape, rim, x + x3, y + y3), _depth(shape, rim, x - x3, y - y3), scratch, b
-        )
-        _raise(
-            4, _depth(shape, rim, x + x4, y + y4), _depth(shape, rim, x - x4, y - y4), scratch, b
-        )
-        _raise(
-            5, _depth(shape, rim, x + x5, y + y5), _depth(shape, rim, x - x5, y - y5), scratch, b
-        )
+        _raise(0, shape, rim, x, y, x0, y0, scratch, b)
+        _raise(1, shape, rim, x, y, x1, y1, scratch, b)
+        _raise(2, shape, rim, x, y, x2, y2, scratch, b)
+        _raise(3, shape, rim, x, y, x3, y3, scratch, b)
+        _raise(4, shape, rim, x, y, x4, y4, scratch, b)
+        _raise(5, shape, rim, x, y, x5, y5, scratch, b)
         scratch[COST + NUM_DIRECTIONS * BLOCK + b] += _depth(shape, rim, x, y)
+
+
+@nb.njit(inline="always")
+def _raise(k, shape, rim, x, y, ex, ey, scratch, b):  # type: ignore[no-untyped-def]
+    """Raise the costs of direction ``k`` and of its opposite by how deep they lead into walls."""
+    scratch[COST + k * BLOCK + b] += _depth(shape, rim, x + ex, y + ey)
+    scratch[COST + (k + 6) * BLOCK + b] += _depth(shape, rim, x - ex, y - ey)
 
 
 @nb.njit(inline="always")
