@@ -165,10 +165,10 @@
   /** Places that can be dragged, with what moves them: starts of animals, landmarks, obstacles. */
   function handles() {
     const { world } = episodes[0], factor = world.size / usual.arena;
-    const moving = (places) => (place, k) => { places[k].splice(0, 2, ...place.map((value) => value / factor)); changed(); };
+    const move = (places, k, place) => { places[k].splice(0, 2, ...place.map((value) => value / factor)); changed(); };
     const own = names.map((_, i) => [absent.has(i) ? [Infinity, 0] : [world.position[2 * i], world.position[2 * i + 1]], (place) => moveStart(i, place)]);
     return [...own, ...[[world.landmarks || [], landmarks], [world.holes || [], obstacles]].flatMap(([shown, places]) =>
-      shown.map((at, k) => [at, (place) => moving(places)(place, k)]))];
+      shown.map((at, k) => [at, (place) => move(places, k, place)]))];
   }
 
   function moveStart(moved, place) {
