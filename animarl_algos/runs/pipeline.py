@@ -159,8 +159,7 @@ def learn(
         settings, logs = run.settings, run.path / "logs"
         checkpoints = run.path / "checkpoints" / algo
         model = run.learner(algo, run.environment(run.learnable_demos))
-        latest = latest_checkpoint(checkpoints)
-        online = model.recipe.online
+        latest, online = latest_checkpoint(checkpoints), model.recipe.online
         unfinished = latest is not None and online and steps_done(latest) < settings.steps
         if run.has_policy(algo) and not unfinished:
             run.load_policy(algo, model)
