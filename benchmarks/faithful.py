@@ -62,7 +62,7 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.demos.splits import cross_validated
+from animarl_envs.demos.splits import cross_validated, run_folds
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import track
@@ -76,6 +76,7 @@ TEST_TABLE = ROOT / "docs" / "results" / "test" / "faithful.csv"
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
 READ = " How often this split was read is said [beside the results](../README.md)."
 FOLDS = 6  # of the cross-validation over recordings, where there are few
+RUN_FOLDS = 3  # as ``animarl run`` deals them
 NEAR = 0.05  # above recordings among themselves, where even the floor may lie
 CROSSED = "-folds"  # ends the name of a packaged set that is cross-validated
 STOPPED = "-cut"  # ends the name of a set whose episodes merely stop
@@ -163,6 +164,11 @@ PACKAGED = tuple(
     for key in ("reached", "target_out", "pursuer_out", "leaving", "duration", "path_length",
                 "mean_speed", "median_speed", "slow_steps", "turning")
 ) + (Bar("auc", "auc", 0.65),)  # fmt: skip
+ALIVE = (
+    Bar("slow_steps", "difference", 0.05), Bar("rests", "relative", 0.15),
+    Bar("bouts", "relative", 0.15), Bar("spread_of_mean_speed", "relative", 0.25),
+    Bar("auc", "alike"), Bar(SEQUENCE, "alike"), Bar("floor", "tracking", 0.60),
+)  # fmt: skip
 TUNED, ONCE, UNSEEN = "defaults were chosen on", "made after the defaults", "unseen"
 
 
@@ -175,7 +181,7 @@ class DataSet:
     ``folds``: cross-validated over recordings, or over episodes where there are fewer than three
     recordings. ``group`` says what is known of it: ``TUNED``, ``ONCE`` or ``UNSEEN``; the name of
     an unseen set is its file.
-    ``pursuers``: of chases that are made here.
+    ``pursuers``: of chases that are made here. ``first``: so many recordings of each condition.
     """
 
     name: str
@@ -185,6 +191,7 @@ class DataSet:
     group: str = TUNED
     pursuers: int = 0
     published: str = ""
+    first: int | None = None
 
     @property
     def label(self) -> str:
@@ -212,7 +219,8 @@ class DataSet:
             return stopped(load_packaged(self.name.removesuffix(STOPPED)))
         if self.published:
             one = named_set(self.published)
-            return load_set(one.name) if one.imported.exists() else one.build(DATA)
+            demos = load_set(one.name) if one.imported.exists() else one.build(DATA)
+            return demos if self.first is None else first_recordings(demos, self.first)
         if self.importing is None:
             return load_packaged(self.name.removesuffix(CROSSED))
         folder = folder.resolve()
@@ -227,6 +235,15 @@ class DataSet:
                 subprocess.run([*program, *asked], check=True, cwd=Path(__file__).parents[1])
             import_files(files, options, out)
         return Demonstrations.load(out)
+
+
+def first_recordings(demos: Demonstrations, count: int) -> Demonstrations:
+    """Return the episodes of the first recordings of each condition."""
+    kept: list[str] = []
+    for condition in (0, 1):
+        names = demos.recording[demos.condition == condition].tolist()
+        kept += list(dict.fromkeys(names))[:count]
+    return demos.select(episodes=np.flatnonzero(np.isin(demos.recording, kept)))
 
 
 def import_files(files: Sequence[Path], options: Sequence[str], out: Path) -> None:
@@ -280,6 +297,11 @@ SETS = (
     ),
     # Smoothed as the paper's flies: the tracks jump by a pixel, as far as a fly walks in a frame.
     DataSet("courtship", WALLED, folds=FOLDS, published="courtship"),
+    *(
+        DataSet(name, ALIVE, folds=RUN_FOLDS, group=ONCE, published=name)
+        for name in ("termites_alone", "fish15", "locusts", "bats_obstacles")
+    ),
+    DataSet("larvae", ALIVE, folds=RUN_FOLDS, group=ONCE, published="larvae", first=40),
 )  # fmt: skip
 
 
@@ -396,7 +418,8 @@ def judged(
     began = time.process_time()
     demos = one.load(out / "imported")
     parts, used, followed, whole = [], [], {}, True
-    folds = list(cross_validated(demos, one.folds)) if one.folds > 1 else [demos]
+    dealt = run_folds if one.folds == RUN_FOLDS else cross_validated
+    folds = list(dealt(demos, one.folds)) if one.folds > 1 else [demos]
     starts = sum(int((fold.split == split).sum()) for fold in folds)
     repetitions = max(2, math.ceil(rollouts / starts))  # of each start, in whichever fold
     for number, fold in enumerate(folds):

@@ -13,11 +13,9 @@ Finished cells are kept under ``--out``.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import pandas as pd
 import torch
 import typer
@@ -27,7 +25,6 @@ from animarl_algos.evaluation import Verdict
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import ORDER
 from animarl_algos.evaluation.statistics import Interval
-from animarl_envs.demos.demonstrations import Demonstrations
 from benchmarks.faithful import DATA, DataSet, judged
 
 MEASURES = (
@@ -46,33 +43,12 @@ FIRST = 40  # larvae of each condition
 ROLLOUTS, QUICK_ROLLOUTS, QUICK_EPOCHS = 120, 16, 2
 
 
-@dataclass(frozen=True)
-class LivingSet(DataSet):
-    """Recordings of living animals; of ``first``, so many recordings of each condition."""
-
-    first: int | None = None
-
-    def load(self, folder: Path) -> Demonstrations:
-        """Return the demonstrations, imported at the first time."""
-        demos = super().load(folder)
-        return demos if self.first is None else first_recordings(demos, self.first)
-
-
 SETS = (
-    LivingSet("larvae", (), published="larvae", first=FIRST),
-    LivingSet("pairs", (), published="termite_pairs"),
-    LivingSet("termites", (), published="termites"),
-    LivingSet("fish15", (), published="fish15"),
+    DataSet("larvae", (), published="larvae", first=FIRST),
+    DataSet("pairs", (), published="termite_pairs"),
+    DataSet("termites", (), published="termites"),
+    DataSet("fish15", (), published="fish15"),
 )
-
-
-def first_recordings(demos: Demonstrations, count: int) -> Demonstrations:
-    """Return the episodes of the first recordings of each condition."""
-    kept: list[str] = []
-    for condition in (0, 1):
-        names = demos.recording[demos.condition == condition].tolist()
-        kept += list(dict.fromkeys(names))[:count]
-    return demos.select(episodes=np.flatnonzero(np.isin(demos.recording, kept)))
 
 
 def main(

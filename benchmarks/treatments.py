@@ -35,8 +35,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.files import write_then_rename
 from animarl_envs.species import CUSTOM
-from benchmarks.faithful import DATA, commit
-from benchmarks.living import LivingSet
+from benchmarks.faithful import DATA, DataSet, commit
 
 FRACTIONS = (0.65, 0.13, 0.22)  # of animals: to learn from, to choose by, and kept aside
 MEASURES = ("slow_steps", "turning", "rests", "bouts")
@@ -60,9 +59,9 @@ class Treatment:
     measures: tuple[str, ...] = MEASURES
 
     @property
-    def recordings(self) -> LivingSet:
+    def recordings(self) -> DataSet:
         """The set of the table of living animals."""
-        return LivingSet(self.name, (), published=self.published, first=self.first)
+        return DataSet(self.name, (), published=self.published, first=self.first)
 
 
 TREATMENTS = (
