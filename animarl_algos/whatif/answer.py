@@ -38,6 +38,7 @@ from animarl_algos.whatif.shifts import (
     mean_over_starts,
     share_as_large,
     shift_between_conditions,
+    tips_over,
     units_of_starts,
     widen_for_family,
     widen_shift_of_share,
@@ -397,7 +398,8 @@ class _Comparison:
             beside = second.shifts_beside(scenario, thrusts)
         table = table.join(pd.DataFrame(beside).T, on="quantity") if beside else table
         more, inputs = (now - usual for now, usual in zip(beyond, self.usual))
-        warning, reason = self._warning(more, inputs, table)
+        species = change_world(self.species, **options)
+        warning, reason = self._warning(more, inputs, table, self._tipping(species, changed))
         low = high = p = np.full(len(table), np.nan)
         if nulls:
             null = np.array([one.shifts(scenario) for one in nulls])
@@ -411,7 +413,6 @@ class _Comparison:
         wide = [calibrated(row) for row in table.to_dict("records")]
         table[["calibrated_low", "calibrated_high"]] = wide
         table["finding"] = table["judged"].isin((RISES, FALLS))
-        species = change_world(self.species, **options)
         if scenario.removed:
             species = Present.without(species, scenario.removed).species
         changed_truth = true[1] if true is not None else None
@@ -671,10 +672,26 @@ class _Comparison:
             counts=counts,
         )
 
-    def _warning(self, more: Floats, inputs: Floats, table: pd.DataFrame) -> tuple[str, str]:
-        """Return the warning, and the reason for it."""
+    def _tipping(self, species: Species, changed: Rollouts) -> list[str]:
+        """Name individuals whose speed changes far more than their thrust."""
+        usual, reasons = _speeds(self.baseline), []
+        for name, now in _speeds(changed).items():
+            i = species.individuals.index(name)
+            thrust = species.locomotion[i].thrust / self.species.locomotion[i].thrust
+            speed = now / max(usual[name], 1e-12)
+            if thrust != 1.0 and tips_over(thrust, speed):
+                reasons.append(
+                    f"the speed of {name} is x{speed:.2g} by a thrust of x{thrust:.2g}: between "
+                    "rest and motion this simulator tips over, and small changes have large effects"
+                )
+        return reasons
+
+    def _warning(
+        self, more: Floats, inputs: Floats, table: pd.DataFrame, reasons: list[str]
+    ) -> tuple[str, str]:
+        """Return the warning, and the reasons for it beside those given."""
         worst = int(np.nanargmax(more))
-        reasons, word = [], Caution.NONE
+        word = Caution.SOME if reasons else Caution.NONE
         if more[worst] > YELLOW:
             word = Caution.RED if more[worst] > RED else Caution.SOME
             reasons.append(

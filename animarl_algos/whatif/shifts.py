@@ -25,6 +25,9 @@ CANNOT_TELL = "cannot be told from these recordings"
 CALIBRATION = {Caution.NONE: 1.0, Caution.SOME: 1.03, Caution.RED: 1.67}
 """Factors on the margins of :func:`calibrated`, by warning: with them 90 % of the shifts in worlds
 with a known truth were covered (docs/results/whatif)."""
+TIPPING, SMALL = 2.0, 0.05
+"""Speeds that change by more than this power of the thrust tip over; smaller changes of a thrust
+count as this one."""
 NO_INTERVAL = "one test start: no interval"
 
 
@@ -66,6 +69,17 @@ def disagrees(row: Mapping[Any, Any]) -> bool:
         )
     ]  # fmt: skip
     return bool(abs(other - row["shift"]) > math.hypot(*margins, row["gap"], row["second_gap"]))
+
+
+def tips_over(thrust: float, speed: float) -> bool:
+    """Return whether a ``speed`` changes far more than the ``thrust``, both factors on what was.
+
+    Steady pushes make a speed in proportion to the thrust. A simulator of an animal that rests can
+    tip over between rest and motion, so that a small change has a large effect.
+    """
+    if not 0.0 < speed < math.inf:
+        return speed == 0.0
+    return abs(math.log(speed)) > TIPPING * max(abs(math.log(thrust)), math.log1p(SMALL))
 
 
 def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from recordings import group
 
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.whatif.extrapolation import Caution
-from animarl_algos.whatif.shifts import CALIBRATION, calibrated, widen_shift_of_share
+from animarl_algos.whatif.shifts import CALIBRATION, calibrated, tips_over, widen_shift_of_share
 from benchmarks.whatif_bars import calibration
 
 STARTS = 10
@@ -57,3 +57,17 @@ def test_calibrated_intervals_are_those_of_the_published_truth() -> None:
     low, high = calibrated(row | {"warning": "red", "other_reading": 5.0})
     factor = CALIBRATION[Caution.RED]
     assert (low, high) == pytest.approx((2 - factor * 10**0.5, 2 + factor * 13**0.5))
+
+
+@pytest.mark.parametrize(
+    ("thrust", "speed", "tips"),
+    [
+        (1.2, 1.2**1.95, False), (1.2, 1.2**2.05, True), (1.2, 3.2, True),
+        (0.8, 0.8**1.95, False), (0.8, 0.8**2.05, True), (0.8, 0.15, True), (0.8, 0.0, True),
+        (1.001, 1.1, False), (1.001, 1.11, True), (2.0, float("nan"), False),
+    ],
+)  # fmt: skip
+def test_a_speed_that_changes_more_than_the_square_of_the_thrust_tips_over(
+    thrust: float, speed: float, tips: bool
+) -> None:
+    assert tips_over(thrust, speed) is tips

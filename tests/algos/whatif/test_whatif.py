@@ -210,6 +210,17 @@ def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: Run) -> None:
     assert findings(faster)[0].startswith(f"Reached falls by {lost:.3g} percentage points [")
 
 
+def test_a_simulator_that_tips_over_says_so(chase: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    change = ["prey.thrust=x1.2", "remove=predator_1"]
+    (steady,) = ask([chase], change, repetitions=1).answers
+    assert "tips over" not in steady.reason
+    monkeypatch.setattr("animarl_algos.whatif.shifts.TIPPING", 0.0)
+    monkeypatch.setattr("animarl_algos.whatif.shifts.SMALL", 1e-9)
+    (tipping,) = ask([chase], change, repetitions=1).answers
+    assert re.search(r"speed of prey is x[\d.]+ by a thrust of x1\.2: .* tips", tipping.reason)
+    assert "predator_0" not in tipping.reason.split("tips over")[0] and tipping.warning != "none"
+
+
 def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: Run) -> None:
     (answer,) = ask([chase], ["prey.speed=+20%"], repetitions=2).answers
     speed = answer.table.set_index("quantity").loc["speed of prey"]
