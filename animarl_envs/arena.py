@@ -20,6 +20,11 @@ from animarl_envs.settings import (
 
 ArenaShape = Literal["square", "disc", "open"]
 SHAPE_CODES: dict[str, int] = {"square": 0, "disc": 1, "open": 2}
+Disc = tuple[float, float, float]
+"""X, y and radius [arena unit]."""
+STRAIGHT = 1000.0
+"""Radius of the obstacle whose edge is a straight wall, in sizes of the arena: it bends by half a
+thousandth of the size from its middle to its end."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,9 @@ class Arena:
         open field.
     obstacles
         Discs that nobody enters: x, y and radius of each. They have walls where the field has, and
-        in an open field; else they end an episode from ``radius * size / boundary`` on. A removed
-        obstacle is infinitely far.
+        in an open field; else they end an episode of an animal that is deeper in one than
+        ``1 - size / boundary`` of its radius, or ``boundary - size`` where this is less. A removed
+        obstacle is infinitely far. A straight wall is the edge of a very large one.
     landmarks
         Points that individuals perceive by direction and distance: name, x and y of each, or a
         mapping of names to places; a removed landmark is infinitely far.
@@ -57,7 +63,7 @@ class Arena:
     boundary: PositiveOrInfinite = 1.1  # [arena unit]
     rebound: bool = False
     landmarks: tuple[tuple[str, float, float], ...] = ()
-    obstacles: tuple[tuple[float, float, float], ...] = ()  # [arena unit]
+    obstacles: tuple[Disc, ...] = ()
     inner: InitVar[float] = 0.0  # [arena unit]
 
     def __post_init__(self, inner: float) -> None:
@@ -94,8 +100,28 @@ class Arena:
     @property
     def holes(self) -> Floats:
         """X, y and radius of each disc that nobody enters, ``(n, 3)`` [arena unit]."""
-        share = 1.0 if self.walled else self.size / self.boundary
-        return np.array(self.obstacles, dtype=np.float64).reshape(-1, 3) * [1.0, 1.0, share]
+        holes = np.array(self.obstacles, dtype=np.float64).reshape(-1, 3)
+        if not self.walled:
+            deep = holes[:, 2] * (1.0 - self.size / self.boundary)
+            holes[:, 2] -= np.minimum(deep, self.boundary - self.size)
+        return holes
+
+    @property
+    def pillars(self) -> list[Disc]:
+        """The obstacles that are in place and no straight walls."""
+        return [one for one in self.obstacles if math.isfinite(one[0]) and not _is_wall(one)]
+
+    @property
+    def barred(self) -> Floats:
+        """Corners of what lies behind each straight wall, as far as is drawn, ``(n, 4, 2)``."""
+        corners, far = [], 4.0 * self.size
+        for x, y, radius in filter(_is_wall, self.obstacles):
+            if math.isfinite(x):
+                away = np.array([x, y]) / math.hypot(x, y)
+                wall, along = np.array([x, y]) - radius * away, far * np.array([-away[1], away[0]])
+                near = [wall - along, wall + along]
+                corners.append([*near, near[1] + far * away, near[0] + far * away])
+        return np.array(corners).reshape(-1, 4, 2)
 
     @property
     def field(self) -> tuple[int, float, float, Floats]:
@@ -117,7 +143,7 @@ class Arena:
         landmarks = tuple(far if one[0] == name else one for one in self.landmarks)
         return replace(self, landmarks=landmarks)
 
-    def without_obstacle(self, obstacle: tuple[float, float, float]) -> "Arena":
+    def without_obstacle(self, obstacle: Disc) -> "Arena":
         """Return the arena with an obstacle so far away that nobody meets it."""
         far = (math.inf, math.inf, obstacle[2])
         obstacles = tuple(far if one == obstacle else one for one in self.obstacles)
@@ -182,7 +208,7 @@ def _landmarks(given: Any) -> tuple[tuple[str, float, float], ...]:
     return tuple(landmarks)
 
 
-def as_obstacle(given: Any) -> tuple[float, float, float]:
+def as_obstacle(given: Any) -> Disc:
     """Return x, y and radius of an obstacle, which may be a text ``x,y,radius``.
 
     Raises InputError.
@@ -198,19 +224,63 @@ def as_obstacle(given: Any) -> tuple[float, float, float]:
     return x, y, radius
 
 
-def format_obstacle(obstacle: tuple[float, float, float]) -> str:
-    """Return an obstacle as users write it: ``"0.2,0,0.1"``."""
+def _is_wall(obstacle: Disc) -> bool:
+    return obstacle[2] > STRAIGHT / 10.0
+
+
+def format_obstacle(obstacle: Disc) -> str:
+    """Return an obstacle as users write it: ``"0.2,0,0.1"``; of a wall where it is nearest."""
+    x, y, radius = obstacle
+    if _is_wall(obstacle):
+        share = 1.0 - radius / math.hypot(x, y)
+        return f"wall at {share * x:.3g},{share * y:.3g}"
     return ",".join(f"{value:g}" for value in obstacle)
 
 
-def parse_shape(text: str) -> tuple[Any, float]:
-    """Return the shape, and the radius of an obstacle in the middle, 0.6 of ``"ring=0.6"``."""
+def parse_shape(text: str) -> tuple[Any, tuple[Disc, ...]]:
+    """Return the shape of an arena of size 1, and the obstacles that make a ring or a polygon.
+
+    Raises InputError.
+    """
     if text in SHAPE_CODES:
-        return text, 0.0
-    ring = re.fullmatch(r"ring=(\d*\.?\d+)", text)
-    if ring and float(ring[1]) < 1.0:
-        return "disc", float(ring[1])
+        return text, ()
+    kind, _, given = text.partition("=")
+    try:
+        corners = [tuple(map(float, corner.split(","))) for corner in given.split(";")]
+    except ValueError:
+        corners = []
+    (share, *others), *more = corners or [(math.nan,)]
+    if kind == "ring" and not (others or more) and 0.0 <= share < 1.0:
+        return "disc", ((0.0, 0.0, share),) * (share > 0.0)
+    if kind == "rectangle" and not (others or more) and 0.0 < share < math.inf:
+        x, y = min(1.0, 1.0 / share), min(1.0, share)
+        return "square", _walls(np.array([[x, y], [-x, y], [-x, -y], [x, -y]]))
+    if kind == "polygon" and len(corners) > 2 and {len(corner) for corner in corners} == {2}:
+        return "square", _walls(np.array(corners))
     raise InputError(
-        f"arena is {text!r}: choose square, disc, open, or a ring with the radius of its hole as "
-        "a share of its own, such as ring=0.6"
+        f"arena is {text!r:.80}: choose square, disc, open, ring=0.6 (the radius of its hole as a "
+        "share of its own), rectangle=0.5 (its height as a share of its width) or a polygon by its "
+        "corners, such as 'polygon=-1,-1;1,-1;0,1'"
     )
+
+
+def _walls(corners: Floats) -> tuple[Disc, ...]:
+    """Return obstacles whose edges are the sides of a polygon, but for those of the square.
+
+    ``corners`` are ``(n, 2)`` [arena sizes]. Raises InputError unless it is convex and around the
+    middle, and within the square.
+    """
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.hypot(*sides.T)
+    outwards = np.stack([sides[:, 1], -sides[:, 0]], axis=1) / np.maximum(lengths, 1e-12)[:, None]
+    reach = (outwards * corners).sum(axis=1)
+    outwards, reach = (outwards, reach) if (reach > 0).all() else (-outwards, -reach)
+    behind = (corners @ outwards.T - reach).max() > 1e-9
+    if behind or not (reach > 0).all() or np.abs(corners).max() > 1.0:
+        raise InputError(
+            "the corners of a polygon arena: give them in turn, between -1 and 1 from the middle, "
+            "which lies inside, without a corner that points inwards"
+        )
+    on_square = np.minimum(np.abs(outwards).max(axis=1), reach) > 1.0 - 1e-9
+    middles = corners + sides / 2 + STRAIGHT * outwards
+    return tuple((x, y, STRAIGHT) for x, y in middles[~on_square].tolist())

@@ -30,6 +30,11 @@ TESTED = {
     "termites": "67 episodes of 20 recordings, living",
     "fly-groups": "80 pieces of 8 recordings, living",
     "courtship": "10 pieces of 1 recording, living",
+    "termites_alone": "36 recordings of 18 animals, living",
+    "larvae": "80 recordings, living",
+    "bats_obstacles": "296 recordings, living",
+    "fish15": "17 pieces of 1 recording, living",
+    "locusts": "22 pieces of 1 recording, living",
 }
 """What each set of ``benchmarks/faithful.py`` is tested on, and whether it lives.
 

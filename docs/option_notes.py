@@ -41,7 +41,7 @@ NOTES: dict[str, tuple[str, str]] = {
     "observation_delay": ("a whole number of steps", "how old the returned observation is"),
     "arena": (
         "an `Arena`, its fields by name, `'square'`, `'disc'`, `'open'`, `'ring=0.6'` (a disc with "
-        "a hole of .6 of its radius), or a size",
+        "a hole of .6 of its radius), `'rectangle=0.5'`, `'polygon=-1,-1;1,-1;0,1'`, or a size",
         "shape and size of the field; the boundary and the square of starts grow with a size",
     ),
     "boundary": (

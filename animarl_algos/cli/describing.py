@@ -138,7 +138,7 @@ def imported_at_a_glance(demos: Demonstrations) -> list[Row]:
         "unit": _unit_name(demos) == "px" and "--px-per-cm NUMBER gives cm",
         "arena": not scaling.get("width")
         and not scaling.get("units_per_arena_unit")
-        and "--arena square, disc, open or ring=0.6, --arena-width LENGTH",
+        and "--arena square, disc, open, ring=0.6 or rectangle=0.5, --arena-width LENGTH",
         "split": recipe.get("splitting", {}).get("by") == "auto" and "--split-by",
     }
     rate = f"{describe_frame_rate(demos)}; an animal decides anew every {demos.dt:.4g} s"
@@ -200,7 +200,7 @@ def _episodes_by_condition(demos: Demonstrations, split: str) -> str:
 
 
 def describe_ground(demos: Demonstrations) -> list[str]:
-    """Return whether the tracks keep to a corridor, ring or disc, or the camera was moved."""
+    """Return whether tracks keep to a corridor, ring, disc or rectangle, or the camera moved."""
     unit, points = unit_of(demos), demos.positions.reshape(-1, 2)
     if moved := _describe_moved_camera(demos):
         return [moved]
@@ -211,7 +211,8 @@ def describe_ground(demos: Demonstrations) -> list[str]:
     if short < CORRIDOR * long:
         return [
             f"the tracks fill a corridor of {long:.3g} by {short:.3g} {unit.name}: simulated "
-            "animals have the whole arena, and may leave the corridor"
+            "animals have the whole arena, and may leave the corridor: --arena rectangle=... puts "
+            "walls around it"
         ]
     from_middle = points - (points.min(axis=0) + points.max(axis=0)) / 2
     inner, outer = np.quantile(np.linalg.norm(from_middle, axis=1), (0.01, 0.99))
@@ -229,9 +230,16 @@ def describe_ground(demos: Demonstrations) -> list[str]:
     wide = np.ptp(points, axis=0) / 2
     outside = from_middle[length > NEAR_RIM * wide.mean()]
     sectors = np.histogram(np.arctan2(*outside.T), SECTORS, (-math.pi, math.pi))[0]
+    in_corners = from_middle[(np.abs(from_middle) > NEAR_RIM * wide).all(axis=1)]
+    oblong = len(np.unique(np.sign(in_corners), axis=0)) == 4 and wide.min() < NEAR_RIM * wide.max()
     in_disc = length.max() < ROUND * wide.mean() and wide.min() > NEAR_RIM * wide.max()
     if demos.arena.shape == "square" and in_disc and sectors.all():
         return ["the tracks fill a disc: if the arena is round, give --arena disc"]
+    if demos.arena.shape == "square" and oblong and not demos.arena.obstacles:
+        return [
+            "the tracks fill a rectangle: if walls stand around it, give --arena "
+            f"rectangle={wide[1] / wide[0]:.3g}"
+        ]
     return []
 
 

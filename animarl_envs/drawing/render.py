@@ -224,11 +224,13 @@ class Renderer:
                 self._page.fill(palette.ARENA, (0, 0, self.size, self.size))
             else:
                 self._draw_edges(arena)
-            for x, y, radius in arena.obstacles:
-                if math.isfinite(x):
-                    hole = self._at(np.array([x, y])), radius * self._scale
-                    self._disc(*hole, palette.BACKGROUND)
-                    self._disc(*hole, palette.OUTLINE, self._width(LINE_WIDTH))
+            for x, y, radius in arena.pillars:
+                hole = self._at(np.array([x, y])), radius * self._scale
+                self._disc(*hole, palette.BACKGROUND)
+                self._disc(*hole, palette.OUTLINE, self._width(LINE_WIDTH))
+            for corners in map(self._at, arena.barred):
+                self._polygon(corners, palette.BACKGROUND)
+                self._path(corners[:2], [palette.OUTLINE], self._width(LINE_WIDTH))
             for name, x, y in arena.landmarks:
                 if math.isfinite(x):
                     place = self._at(np.array([x, y]))

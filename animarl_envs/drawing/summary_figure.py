@@ -101,7 +101,9 @@ def _draw_recordings(
         axes.plot(*edge, color="0.8", lw=0.8)
         for _, *place in demos.arena.landmarks:
             axes.plot(*(unit.per_arena_unit * np.array(place)), "^", color="0.5", ms=6)
-        for x, y, radius in unit.per_arena_unit * np.array(demos.arena.obstacles).reshape(-1, 3):
+        for corners in unit.per_arena_unit * demos.arena.barred:
+            axes.plot(*corners[:2].T, color="0.8", lw=0.8)
+        for x, y, radius in unit.per_arena_unit * np.array(demos.arena.pillars).reshape(-1, 3):
             axes.plot(x + radius * np.cos(angle), y + radius * np.sin(angle), color="0.8", lw=0.8)
         if "searcher" in demos.roles:
             axes.plot(0, 0, "*", color=palette.to_hex(palette.PLUME), ms=8)

@@ -293,8 +293,9 @@ class Scaling(Checked):
     shape: str = option(
         "square",
         "arena",
-        "square (half side 1), disc (radius 1), open (no edge) or ring=0.6 (a disc with a hole of "
-        "that radius, which nobody enters).",
+        "square (half side 1), disc (radius 1), open (no edge), ring=0.6 (a disc with a hole of "
+        "that radius, which nobody enters), rectangle=0.5 (its height as a share of its width) or "
+        "'polygon=x,y;x,y;x,y' (its corners, without one that points inwards).",
     )
     width: Positive | None = option(
         None,
@@ -342,14 +343,13 @@ class Scaling(Checked):
     @property
     def arena(self) -> Arena:
         """The arena in arena units."""
-        shape, inner = parse_shape(self.shape)
+        shape, made = parse_shape(self.shape)
         return Arena(
             shape,
             size=1.0,
             boundary=self.boundary,
-            inner=inner,
             landmarks=self.landmarks,  # type: ignore[arg-type]
-            obstacles=self.obstacles,
+            obstacles=(*made, *self.obstacles),
         )
 
 

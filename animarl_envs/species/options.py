@@ -160,8 +160,9 @@ def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
     if isinstance(given, Arena):
         arena = given
     elif isinstance(given, str):
-        shape, share = parse_shape(given)
-        arena = replace(arena, shape=shape, obstacles=(), inner=share * arena.size)
+        shape, made = parse_shape(given)
+        obstacles = tuple((arena.size * x, arena.size * y, arena.size * r) for x, y, r in made)
+        arena = replace(arena, shape=shape, obstacles=obstacles)
         if "obstacles" in changes:
             changes["obstacles"] = (*arena.obstacles, *changes["obstacles"])
     elif is_number(given):

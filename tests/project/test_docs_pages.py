@@ -147,7 +147,10 @@ PAGES = [
     *sorted((ROOT / "animarl_algos" / "pretrained").rglob("*.md")),
 ]  # fmt: skip
 LATER = slowly("stated_coverage", "verdict_power", "whatif_truth")
-LIVING = ["moths", "termites", "fly-groups", "courtship"]
+LIVING = [
+    *("moths", "termites", "fly-groups", "courtship"),
+    *("termites_alone", "larvae", "bats_obstacles", "fish15", "locusts"),
+]
 
 
 @pytest.fixture(scope="module")

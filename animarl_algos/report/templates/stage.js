@@ -86,7 +86,7 @@ class Stage {
   }
 
   drawField(context, scale, side, length, value) {
-    const { shape, size, walls, obstacles, landmarks } = this.data.arena;
+    const { shape, size, walls, obstacles, barred, landmarks } = this.data.arena;
     context.strokeStyle = colourOf("muted");
     context.lineWidth = walls ? 3 : 1;
     context.setLineDash(walls ? [] : [5, 4]);
@@ -98,6 +98,12 @@ class Stage {
     for (const [...at] of obstacles) {
       context.beginPath();
       context.arc(...this.place(at), at[2] * scale, 0, 2 * Math.PI);
+      context.stroke();
+    }
+    for (const [from, to] of barred) {
+      context.beginPath();
+      context.moveTo(...this.place(from));
+      context.lineTo(...this.place(to));
       context.stroke();
     }
     context.setLineDash([]);

@@ -387,9 +387,9 @@ const AnimaRL = (() => {
       const scales = (this.scales = past.length + 2 * memory.length + delays.length / 2);
       this.boundary = options.boundary;
       this.edge = model.arena.rebound ? this.size : this.boundary ?? Infinity;
-      const factor = this.size / model.arena.size, near = model.arena.walled ? 1 : this.size / this.boundary;
+      const factor = this.size / model.arena.size, deep = model.arena.walled ? 0 : 1 - this.size / this.boundary;
       this.landmarks = options.landmarks.map((at) => at.map((value) => factor * value));
-      this.holes = options.obstacles.map(([x, y, radius]) => [factor * x, factor * y, factor * near * radius]);
+      this.holes = options.obstacles.map(([x, y, radius]) => [factor * x, factor * y, factor * (radius - Math.min(radius * deep, model.arena.size * deep / (1 - deep)))]);
       this.past = new Float64Array(copies * scales * K * 2);
       this.towards = new Float64Array(copies * K * 2);
       this.before = new Float64Array(K * 2);

@@ -131,9 +131,10 @@ const Measures = (() => {
     return m;
   }
 
-  /** Return the distance of a place to the nearest obstacle; factors on their places and radii. */
-  function clearance(obstacles, factor, share = 1) {
-    return ([x, y]) => Math.min(...obstacles.map((at) => Math.hypot(x - factor * at[0], y - factor * at[1]) - share * factor * at[2]));
+  /** Return the distance of a place to the nearest obstacle; a factor on places and radii, and how deep one may be in it. */
+  function clearance(obstacles, factor, deep = 0, size = 1) {
+    const reduced = (radius) => radius - Math.min(radius * deep, size * deep / (1 - deep));
+    return ([x, y]) => Math.min(...obstacles.map((at) => Math.hypot(x - factor * at[0], y - factor * at[1]) - factor * reduced(at[2])));
   }
 
   /** How much individuals point the same way at each step. */
@@ -207,7 +208,7 @@ const Measures = (() => {
     found.turning = mean(all.map((one) => one.angle.reduce((sum, value) => sum + Math.abs(value), 0))) / seconds;
     found["occupancy distance"] = occupancy(all, start, measuring);
     const margin = measuring.grid ? measuring.grid.reach : 0, closed = arena.shape !== "open";
-    const clear = clearance(options.obstacles, options.arena / arena.size, arena.walled ? 1 : arena.size / arena.boundary);
+    const clear = clearance(options.obstacles, options.arena / arena.size, arena.walled ? 0 : 1 - arena.size / arena.boundary, arena.size);
     const edge = (arena.rebound ? options.arena : options.boundary) + margin;
     const outside = ([x, y]) => {
       const far = arena.shape === "disc" ? Math.hypot(x, y) : Math.max(Math.abs(x), Math.abs(y));

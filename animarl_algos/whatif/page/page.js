@@ -72,7 +72,7 @@
   const copied = (places) => places.map((at) => [...at]);
   let landmarks = copied(usual.landmarks), obstacles = copied(usual.obstacles);
   if (landmarks.length) boxes.push(presence("Landmarks", "landmark", [...landmarks.keys()], (k) => model.arena.landmarks[k][0], noLandmark, 0));
-  if (obstacles.length) boxes.push(presence("Obstacles", "obstacle", [...obstacles.keys()], (k) => `obstacle ${k + 1}`, noObstacle, 0));
+  if (obstacles.length) boxes.push(presence("Obstacles", "obstacle", [...obstacles.keys()], (k) => `${obstacles[k][2] > 100 ? "wall" : "obstacle"} ${k + 1}`, noObstacle, 0));
   if (model.world !== "search" && (model.arena.shape !== "open" || model.arena.walled)) {
     const more = document.createElement("button");
     Object.assign(more, { id: "more-obstacles", type: "button", textContent: "Add an obstacle" });

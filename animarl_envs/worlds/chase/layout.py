@@ -467,7 +467,9 @@ def ranges(
     radius = reach if round_field else math.sqrt(2.0) * reach
     scales = species.scales
     relative = top / min(m.smallest_thrust * scales.dt for m in scales.locomotion)
-    near, deepest = NEAR * scales.arena_size, max(arena.holes[:, 2], default=0.0)
+    # Straight walls are huge obstacles; nobody comes deeper into one than across the field.
+    near = NEAR * scales.arena_size
+    deepest = max(np.minimum(arena.holes[:, 2], 2.0 * radius), default=0.0)
     inside = min(0.0 - deepest, arena.edge - reach)
     at_wall, by_wall = (
         (math.tanh(inside / scale), math.tanh(arena.edge / scale))

@@ -516,13 +516,17 @@ def observe_wall(  # type: ignore[no-untyped-def]
     for k in range(len(holes)):
         middle_x, middle_y = np.float32(holes[k, 0]), np.float32(holes[k, 1])
         radius = np.float32(holes[k, 2])
+        # Squares of large radii cancel in float64: a straight wall is a large disc.
+        power = np.float32(holes[k, 0] ** 2 + holes[k, 1] ** 2 - holes[k, 2] ** 2)
         for b in range(position.shape[2]):
-            dx = middle_x - np.float32(position[i, 0, b])
-            dy = middle_y - np.float32(position[i, 1, b])
+            x = np.float32(position[i, 0, b])
+            y = np.float32(position[i, 1, b])
+            dx, dy = middle_x - x, middle_y - y
             away = np.sqrt(dx * dx + dy * dy)
-            nearer = away - radius < observation[i, at, b] and away > ZERO
+            clear = (x * (x - TWO * middle_x) + y * (y - TWO * middle_y) + power) / (away + radius)
+            nearer = clear < observation[i, at, b] and away > ZERO
             per_away = ONE / away if nearer else ONE
-            observation[i, at, b] = away - radius if nearer else observation[i, at, b]
+            observation[i, at, b] = clear if nearer else observation[i, at, b]
             nx, ny = observation[i, where, b], observation[i, where + 1, b]
             observation[i, where, b] = dx * per_away if nearer else nx
             observation[i, where + 1, b] = dy * per_away if nearer else ny

@@ -112,6 +112,9 @@ CASES: dict[str, Expected] = {
     "arena_long2.csv --fps 25 --target none": Expected(
         individuals="animal_0 animal_1", rate=25, recordings=2, extent=33.9745
     ),
+    "dash_pairs.csv --fps 25 --target none --arena rectangle=.5": Expected(
+        individuals="a c", rate=25, prints=("wall at 0,0.5 and wall at ",)
+    ),
     "dash_pairs.csv --fps 25 --target none --arena ring=0.1 --obstacle .5,0,.2 "
     "--landmark a=0,1 --landmark b=.5,.2": (
         Expected(

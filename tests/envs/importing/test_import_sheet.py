@@ -133,6 +133,8 @@ def test_a_corridor_and_a_ring_are_noticed() -> None:
         (ring, "--arena ring=0.8"),
         (corridor, "corridor"),
         (box, ""),
+        (box * [1.0, 0.5], "--arena rectangle=0.5"),
+        (box * [0.8, 1.0], "--arena rectangle=1.25"),
         (disc, "--arena disc"),
     ):
         found = describe_ground(

@@ -285,6 +285,65 @@ def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
     assert touched > 100
 
 
+TRIANGLE = "polygon=-1,-1;1,-1;0,1"
+
+
+@pytest.mark.parametrize("shape", ["rectangle=0.5", "rectangle=2", TRIANGLE])
+def test_nobody_leaves_a_polygon(shape: str) -> None:
+    made = world(50, arena=shape, rebound=True)
+    bend, rng, touched = 1e-3, np.random.default_rng(0), 0
+    for _ in range(120):
+        made.step(rng.choice([0, 6, 6, 6, 3], size=(50, 3)))
+        x, y = np.moveaxis(made.position, 2, 0)
+        over = {
+            "rectangle=0.5": np.maximum(np.abs(x) - 1.0, np.abs(y) - 0.5),
+            "rectangle=2": np.maximum(np.abs(y) - 1.0, np.abs(x) - 0.5),
+            TRIANGLE: np.maximum((2.0 * np.abs(x) + y - 1.0) / np.sqrt(5.0), -1.0 - y),
+        }[shape]
+        assert over.max() < bend
+        touched += int((over > -bend).sum())
+        assert (made.outcome >= 0).all() and np.isfinite(made.observation).all()
+        made.reset(made.terminated | made.truncated)
+    assert touched > 100
+
+
+def test_the_long_wall_of_a_rectangle_is_perceived() -> None:
+    made = world(1, [[0.5, 0.45], [0.5, 0.0], [0.5, -0.5]], arena="rectangle=0.5", rebound=True)
+    seen = {
+        one.name: value for one, value in zip(made.observation_components, made.observation[0, 0])
+    }
+    distance = seen["tanh of distance to the wall / (0.1 size)"]
+    assert distance == pytest.approx(np.tanh(0.05 / 0.1), abs=2e-3)
+    assert seen["direction of the wall cosine"] == pytest.approx(-1.0, abs=1e-3)  # focus: below
+
+
+def test_without_walls_an_episode_ends_as_far_beyond_a_rectangle_as_beyond_its_square() -> None:
+    made = world(1, [[0.0, -0.4], [-0.7, 0.0], [0.7, 0.0]], arena="rectangle=0.5")
+    while not made.terminated[0]:
+        assert made.position[0, 0, 1] > -0.6
+        made.step(np.array([[3, COAST, COAST]]))
+    assert made.outcome[0] == PURSUER_OUT and made.position[0, 0, 1] < -0.6
+
+
+@pytest.mark.parametrize(
+    ("shape", "sentence"),
+    [
+        ("rectangle=0", "rectangle=0.5"),
+        ("rectangle=1,2", "rectangle=0.5"),
+        ("ring=1", "ring=0.6"),
+        ("polygon=0,1;1,0", "by its corners"),
+        ("polygon=a,b;c,d;e,f", "by its corners"),
+        ("polygon=-1,-1;1,-1;0,-0.5", "which lies inside"),
+        ("polygon=-1,-1;1,-1;0,0.2;1,1;-1,1", "points inwards"),
+        ("polygon=-1,-1;1,-1;0,1.1", "between -1 and 1"),
+        ("polygon=nan,0;1,-1;0,1", "give them in turn"),
+    ],
+)
+def test_what_is_no_polygon_is_refused(shape: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        world(1, arena=shape)
+
+
 SHELTERS = [(0.3, 0.1, 0.2), (-0.9, 0.0, 0.3)]  # the second one sticks out of a disc
 
 

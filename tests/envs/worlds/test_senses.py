@@ -33,6 +33,7 @@ CHASES: list[tuple[str, dict[str, Any]]] = [
     ("agent", {"demos": None, "num_pursuers": 4}), ("agent", {"demos": None, "arena": "open"}),
     ("agent", {"demos": None, "num_targets": 3}), ("custom", {"demos": dogs(2)}),
     ("agent", {"demos": None, "arena": "ring=0.4", "rebound": True}),
+    ("agent", {"demos": None, "arena": "rectangle=0.5", "rebound": True}),
     ("agent", {"demos": None, "arena": "open", "obstacles": ["0.4,0,0.2"]}),
     ("agent", {"demos": None, "arena": "open", "landmarks": {"stripe": "1,0", "lamp": "-.5,0"}}),
     ("newt", {"senses_past": True, "senses_time": True, "senses_course": True}),
