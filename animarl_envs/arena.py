@@ -112,16 +112,22 @@ class Arena:
         return [one for one in self.obstacles if math.isfinite(one[0]) and not _is_wall(one)]
 
     @property
-    def barred(self) -> Floats:
-        """Corners of what lies behind each straight wall, as far as is drawn, ``(n, 4, 2)``."""
-        corners, far = [], 4.0 * self.size
+    def corners(self) -> Floats:
+        """Corners of a square or polygon in turn, ``(n, 2)``, to draw it."""
+        corners = self.size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
         for x, y, radius in filter(_is_wall, self.obstacles):
             if math.isfinite(x):
                 away = np.array([x, y]) / math.hypot(x, y)
-                wall, along = np.array([x, y]) - radius * away, far * np.array([-away[1], away[0]])
-                near = [wall - along, wall + along]
-                corners.append([*near, near[1] + far * away, near[0] + far * away])
-        return np.array(corners).reshape(-1, 4, 2)
+                beyond = corners @ away - (math.hypot(x, y) - radius)
+                kept = []
+                for k, corner in enumerate(corners):
+                    if beyond[k - 1] * beyond[k] < 0.0:
+                        share = beyond[k] / (beyond[k] - beyond[k - 1])
+                        kept.append(corner + share * (corners[k - 1] - corner))
+                    if beyond[k] <= 0.0:
+                        kept.append(corner)
+                corners = np.array(kept)
+        return corners
 
     @property
     def field(self) -> tuple[int, float, float, Floats]:

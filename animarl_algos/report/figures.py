@@ -340,7 +340,7 @@ def draw_paths(
     panel: Axes, path: Floats, arena: Arena, roles: Sequence[str], names: Sequence[str]
 ) -> None:
     """Draw paths in an arena: open mark at the start, filled at the end, a cross at the source."""
-    from matplotlib.patches import Circle, Polygon, Rectangle
+    from matplotlib.patches import Circle, Polygon
 
     outline: dict[str, Any] = {
         "fill": True,
@@ -351,15 +351,11 @@ def draw_paths(
         "zorder": 0,
     }
     if arena.shape == "square":
-        panel.add_patch(
-            Rectangle((-arena.size, -arena.size), 2 * arena.size, 2 * arena.size, **outline)
-        )
+        panel.add_patch(Polygon(arena.corners, **outline))
     elif arena.shape == "disc":
         panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
     for x, y, radius in arena.pillars:
         panel.add_patch(Circle((x, y), radius, **outline | {"facecolor": "none"}))
-    for corners in arena.barred:
-        panel.add_patch(Polygon(corners, **outline | {"facecolor": style.PAGE.hex}))
     for _, *place in arena.landmarks:
         panel.plot(*place, "^", color=style.MUTED.hex, markersize=6)
     if "searcher" in roles:

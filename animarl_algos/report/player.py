@@ -98,7 +98,7 @@ def _world(stage: Stage) -> dict[str, Any]:
             "size": arena.size,
             "walls": arena.rebound,
             "obstacles": arena.pillars,
-            "barred": arena.barred.tolist(),
+            "corners": arena.corners.tolist(),
             "landmarks": [place for place in arena.landmarks if math.isfinite(place[1])],
         },
         "contact": stage.contact_radius,

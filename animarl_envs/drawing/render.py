@@ -228,9 +228,6 @@ class Renderer:
                 hole = self._at(np.array([x, y])), radius * self._scale
                 self._disc(*hole, palette.BACKGROUND)
                 self._disc(*hole, palette.OUTLINE, self._width(LINE_WIDTH))
-            for corners in map(self._at, arena.barred):
-                self._polygon(corners, palette.BACKGROUND)
-                self._path(corners[:2], [palette.OUTLINE], self._width(LINE_WIDTH))
             for name, x, y in arena.landmarks:
                 if math.isfinite(x):
                     place = self._at(np.array([x, y]))
@@ -243,7 +240,8 @@ class Renderer:
         self._page.blit(self._ground[1], (0, 0))
 
     def _draw_edges(self, arena: Arena) -> None:
-        edge = self._at(_edge(arena.shape, arena.size))
+        is_square = arena.shape == "square"
+        edge = self._at(arena.corners if is_square else _edge(arena.shape, arena.size))
         self._polygon(edge, palette.ARENA)
         if arena.size < arena.boundary <= WIDEST_BOUNDARY * arena.size and not arena.rebound:
             dashes = _dashed(self._at(_edge(arena.shape, arena.boundary)), DASH * self.size)

@@ -93,7 +93,8 @@ def _draw_recordings(
     size, angle = unit.per_arena_unit * demos.arena.size, np.linspace(0, 2 * math.pi, 100)
     edge: Any = {
         "disc": (size * np.cos(angle), size * np.sin(angle)),
-        "square": size * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]]),
+        "square": unit.per_arena_unit
+        * demos.arena.corners[[*range(-1, len(demos.arena.corners))]].T,
         "open": ([], []),
     }[demos.arena.shape]
     for axes, name in zip(panels, names, strict=False):
@@ -101,8 +102,6 @@ def _draw_recordings(
         axes.plot(*edge, color="0.8", lw=0.8)
         for _, *place in demos.arena.landmarks:
             axes.plot(*(unit.per_arena_unit * np.array(place)), "^", color="0.5", ms=6)
-        for corners in unit.per_arena_unit * demos.arena.barred:
-            axes.plot(*corners[:2].T, color="0.8", lw=0.8)
         for x, y, radius in unit.per_arena_unit * np.array(demos.arena.pillars).reshape(-1, 3):
             axes.plot(x + radius * np.cos(angle), y + radius * np.sin(angle), color="0.8", lw=0.8)
         if "searcher" in demos.roles:

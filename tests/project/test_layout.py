@@ -77,13 +77,13 @@ BUDGETS = {
     "animarl_algos.networks": 12_075,
     "animarl_algos.recipes": 820,
     "animarl_algos.replay": 5_600,
-    "animarl_algos.report": 17_233,
+    "animarl_algos.report": 17_208,
     "animarl_algos.runs": 16_190,
     "animarl_algos.whatif": 21_227,
     "animarl_algos.zoo": 3_030,
-    "animarl_envs": 19_374,
+    "animarl_envs": 19_419,
     "animarl_envs.demos": 9_265,
-    "animarl_envs.drawing": 10_519,
+    "animarl_envs.drawing": 10_446,
     "animarl_envs.fitting": 14_410,
     "animarl_envs.importing": 57_848,
     "animarl_envs.species": 7_090,
@@ -92,7 +92,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 2_120,
 }
 """Most tokens of each folder, as ``tools.lines`` counts them; lower them as folders shrink."""
-ALL_TOKENS = 358_400
+ALL_TOKENS = 358_300
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 3_138
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""

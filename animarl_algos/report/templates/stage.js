@@ -86,24 +86,21 @@ class Stage {
   }
 
   drawField(context, scale, side, length, value) {
-    const { shape, size, walls, obstacles, barred, landmarks } = this.data.arena;
+    const { shape, size, walls, obstacles, corners, landmarks } = this.data.arena;
     context.strokeStyle = colourOf("muted");
     context.lineWidth = walls ? 3 : 1;
     context.setLineDash(walls ? [] : [5, 4]);
     context.beginPath();
     const [x, y] = this.place([0, 0]);
     if (shape === "disc") context.arc(x, y, size * scale, 0, 2 * Math.PI);
-    if (shape === "square") context.rect(x - size * scale, y - size * scale, 2 * size * scale, 2 * size * scale);
+    if (shape === "square") {
+      for (const corner of corners) context.lineTo(...this.place(corner));
+      context.closePath();
+    }
     context.stroke();
     for (const [...at] of obstacles) {
       context.beginPath();
       context.arc(...this.place(at), at[2] * scale, 0, 2 * Math.PI);
-      context.stroke();
-    }
-    for (const [from, to] of barred) {
-      context.beginPath();
-      context.moveTo(...this.place(from));
-      context.lineTo(...this.place(to));
       context.stroke();
     }
     context.setLineDash([]);

@@ -614,3 +614,17 @@ def test_each_target_of_a_lone_pursuer_runs_from_it_alone() -> None:
         pair = tuple(each[:, [who, 3]] for each in (position, velocity, towards))
         alone = moves(OWN, 1, pair, DISC, 1.5, lone=True)
         np.testing.assert_array_equal(chosen[nearest == who], alone[nearest == who])
+
+
+def test_the_corners_of_a_polygon_are_those_that_were_given() -> None:
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for shape, corners in (
+        ("square", square),
+        ("rectangle=0.5", square * [1.0, 0.5]),
+        ("rectangle=2", square * [0.5, 1.0]),
+        (TRIANGLE, np.array([[-1, -1], [1, -1], [0, 1]])),
+    ):
+        drawn = world(1, arena=shape, rebound=True).scenario.species.arena.corners
+        for corner in corners:
+            assert np.linalg.norm(drawn - corner, axis=1).min() < 2e-3, shape
+        assert all(np.linalg.norm(corners - one, axis=1).min() < 2e-3 for one in drawn)
