@@ -13,6 +13,7 @@ Finished cells are kept under ``--out``.
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +21,8 @@ import pandas as pd
 import torch
 import typer
 from rich.console import Console
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks
 
 from animarl_algos.evaluation import Verdict
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE

@@ -15,6 +15,7 @@ lie in $ANIMARL_DATA (by default ../shared/data). Finished splits are kept.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,8 @@ import pandas as pd
 import torch
 import typer
 from rich.console import Console
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks
 
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.runs import pipeline

@@ -281,3 +281,11 @@ def later():
     back = Import("animarl_envs.worlds.base", "animarl_envs.arena", True)
     assert len(circle([*found, back])) == 3
     assert circle([*found, back._replace(at_once=False)]) == []
+
+
+def test_benchmarks_that_are_run_as_files_find_each_other() -> None:
+    """A folder ``benchmarks`` of some dependency would be found in place of ours."""
+    for file in (ROOT / "benchmarks").glob("*.py"):
+        text = file.read_text()
+        if f"python benchmarks/{file.name}" in text and "\nfrom benchmarks." in text:
+            assert "sys.path.insert(0, str(Path(__file__).resolve().parents[1]))" in text, file
