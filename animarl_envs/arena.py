@@ -23,7 +23,7 @@ SHAPE_CODES: dict[str, int] = {"square": 0, "disc": 1, "open": 2}
 Disc = tuple[float, float, float]
 """X, y and radius [arena unit]."""
 STRAIGHT = 1000.0
-"""Radius of the obstacle whose edge is a straight wall, in sizes of the arena: it bends by half a
+"""Radius of an obstacle that serves as a straight wall, in sizes of the arena: it bends by half a
 thousandth of the size from its middle to its end."""
 
 
@@ -271,7 +271,7 @@ def parse_shape(text: str) -> tuple[Any, tuple[Disc, ...]]:
 
 
 def _walls(corners: Floats) -> tuple[Disc, ...]:
-    """Return obstacles whose edges are the sides of a polygon, but for those of the square.
+    """Return obstacles along the sides of a polygon, but for those of the square.
 
     ``corners`` are ``(n, 2)`` [arena sizes]. Raises InputError unless it is convex and around the
     middle, and within the square.

@@ -673,7 +673,7 @@ class _Comparison:
         )
 
     def _tipping(self, species: Species, changed: Rollouts) -> list[str]:
-        """Name individuals whose speed changes far more than their thrust."""
+        """Name individuals with a speed that changes far more than their thrust."""
         usual, reasons = _speeds(self.baseline), []
         for name, now in _speeds(changed).items():
             i = species.individuals.index(name)

@@ -15,6 +15,6 @@ def test_treatments_table_counts_splits_whose_interval_holds_the_true_shift() ->
     })  # fmt: skip
     (found,) = summary(rows).to_dict("records")
     assert found["splits"] == 2 and found["error"] == 2.0
-    assert found["error of the trivial answer"] == 1.0
+    assert found["error of the trivial answer"] == 1.0 and found["nearer"] == 0
     assert found["covered"] == found["strictly"] == 0.5
     assert found["by the plain interval"] == 0.0
