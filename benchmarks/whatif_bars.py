@@ -5,6 +5,7 @@ A row is one quantity of one change, as described there; nothing is simulated he
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from animarl_algos.whatif.extrapolation import Caution
+from animarl_algos.whatif.shifts import distances
 
 RECORDED = "recorded-agents"
 LEVEL, FEWEST = 0.9, 5  # of rows that are covered; rows to find a factor by
@@ -139,16 +141,19 @@ def held_out_rules(table: pd.DataFrame) -> pd.DataFrame:
 def calibration(table: pd.DataFrame) -> pd.DataFrame:
     """Return factors on margins by warning, and how often intervals hold the truth of a set.
 
-    A margin is ``hypot(margin, habit - knows)``; its factor, by warning, covers 90 % of the rows of
-    all other sets, every change counting alike, and is 1 at least. The row *all* has the factors of
-    all sets, and the coverage of each set by those of the others.
+    A margin is that of the miss beside the distances to other answers (habit against knowledge, the
+    second simulator, the recordings of a condition), as their hypotenuse. Its factor, by warning,
+    covers 90 % of the rows of all other sets, every change counting alike, and is 1 at least. The
+    row *all* has the factors of all sets, and the coverage of each set by those of the others.
+    *Wider* is the median factor between the raw margin and the calibrated one.
     """
     seen = table[table["miss_high"] - table["miss_low"] > 1e-12]
     side = np.where(
         seen["miss"] > 0, seen["miss"] - seen["miss_low"], seen["miss_high"] - seen["miss"]
     ).clip(1e-12)
-    apart = (seen["other_reading"] - seen["predicted"]).abs().fillna(0)
-    score = seen["miss"].abs() / np.hypot(side, apart)
+    answers = seen.rename(columns={"predicted": "shift"}).to_dict("records")
+    margin = np.hypot(side, [math.hypot(*distances(one)) for one in answers])
+    score = seen["miss"].abs() / margin
     change = seen["set"] + "|" + seen["change"] + "|" + seen["reading"]
 
     def factor(rows: pd.Series) -> float:
@@ -159,6 +164,7 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
         return max(1.0, float(score[rows].to_numpy()[order][place]))
 
     found, covered = [], pd.Series(False, index=seen.index)
+    wider = pd.Series(np.nan, index=seen.index)
     for name in [*seen["set"].unique(), "all"]:
         own = seen["set"] == name
         line: dict[str, Any] = {"set": name}
@@ -166,10 +172,13 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
             of_warning = seen["warning"] == warning
             others = of_warning & ~own
             line[str(warning)] = factor(others) if others.sum() > FEWEST else np.nan
-            covered |= own & of_warning & (score <= line[str(warning)])
+            here = own & of_warning
+            wider[here] = line[str(warning)] * margin[here] / side[here]
+            covered[here] = score[here] <= line[str(warning)]
         rows = own if own.any() else pd.Series(True, index=seen.index)
         raw = seen["covered"].astype(bool)[rows].mean()
-        found.append(line | {"raw": raw, "calibrated": covered[rows].mean()})
+        line |= {"raw": raw, "calibrated": covered[rows].mean(), "wider": wider[rows].median()}
+        found.append(line)
     return pd.DataFrame(found)
 
 
@@ -230,11 +239,11 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
                   for row in held_out_rules(table).itertuples()]  # fmt: skip
         lines += ["", "Calibrated intervals, each set by the factors of the others:", ""]
         lines += [*map(str.strip, str(calibration.__doc__).strip().splitlines()[2:]), ""]
-        lines += ["| set | no warning | some | red | covered, raw | covered, calibrated |"]
-        lines += ["|---|---|---|---|---|---|"]
+        lines += ["| set | no warning | some | red | covered, raw | covered, calibrated | wider |"]
+        lines += ["|---|---|---|---|---|---|---|"]
         lines += [
             f"| {row.set} | {row.none:.2f} | {row.some:.2f} | {row.red:.2f} | {row.raw:.0%} | "
-            f"{row.calibrated:.0%} |"
+            f"{row.calibrated:.0%} | {row.wider:.2f} |"
             for row in calibration(table).itertuples()
         ]
     return "\n".join([*lines, ""])

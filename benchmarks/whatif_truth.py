@@ -16,6 +16,9 @@ them acts in the changed world and perceives it as the clone does, by habit or k
 place. With ``--planning`` flies, newts and moths choose their pushes with their new thrust, but
 keep the speeds that they want: a third truth, beside what clones answer by habit.
 
+As ``animarl whatif`` does, a second simulator with other inputs, of the first training seed, is
+asked the same of every changed world (``second_shift``; not with ``--quick`` and ``--method``).
+
 One row is one quantity of one change. ``miss`` is predicted minus true, paired by start, with an
 interval over starts and training seeds. An answer counts as wrong where its miss is clear of zero
 and larger than half of the true shift. Rows whose true shift is not clear of zero have no sign and
@@ -57,7 +60,7 @@ from animarl_algos.benchmark.methods import (
 )
 from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.runs.permuted import permuted_runs
+from animarl_algos.runs.permuted import permuted_runs, second_run
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.absent import Present
 from animarl_algos.whatif.answer import Answer, ask
@@ -83,6 +86,10 @@ FOOD = ("fed", "deprived")
 ANIMARL = (sys.executable, "-m", "animarl_algos.cli.main")
 TRUE_REPETITIONS = 10
 WRONG = 0.5  # of the true shift
+BESIDE = (
+    *("second_shift", "second_low", "second_high", "second_gap"),
+    *("trained_shift", "trained_margin"),
+)  # columns of other answers, which not every change has
 
 # From mild to absurd; ``inside`` are those whose inputs stay near what was recorded.
 COURTSHIP = (
@@ -304,8 +311,12 @@ def answered(
     repetitions: int,
     truth_folder: Path | None,
     planning: bool = False,
+    second: Run | None = None,
 ) -> Iterator[Answered]:
-    """Ask the clones and what made their recordings; changes of bodies in both readings."""
+    """Ask the clones and what made their recordings; changes of bodies in both readings.
+
+    A ``second`` simulator is asked too.
+    """
     truth = truth_of(runs[0], truth_folder, max(repetitions, TRUE_REPETITIONS), planning)
     readings: tuple[Reading, ...] = ("habit",) if planning else ("habit", "knows")
     for reading in readings:
@@ -316,7 +327,7 @@ def answered(
         texts = [scenario.name for scenario in asked]
         found = ask(
             runs, texts, repetitions=repetitions, reading=reading, separately=True, family=False,
-            truth=truth,
+            truth=truth, second=second,
         )  # fmt: skip
         usual = truth.roll_out(ChangedWorld(()), reading)[0]
         for answer in found.answers:
@@ -347,6 +358,7 @@ def rows(name: str, runs: list[Run], one: Answered) -> Iterator[dict[str, Any]]:
             **{key: row[key] for key in ("miss", "miss_low", "miss_high")},
             "gap": gap.estimate, "gap_low": gap.low, "gap_high": gap.high,
             **{key: row[key] for key in ("seeds_low", "seeds_high", "other_reading", "beyond")},
+            **{key: row.get(key, np.nan) for key in BESIDE},
             "clear": clear, "covered": not missed,
             "sign_right": bool(row["shift"] * row["true"] > 0) if clear else None,
             "wrong": missed and abs(row["miss"]) > WRONG * abs(row["true"]),
@@ -409,10 +421,10 @@ def main(
             runs = [entered_run(name, method, one) for one in seeds]
         else:
             runs = [load_run(name)] if quick else trained_runs(name, seeds, cells, set_ or [])
+        asked, alone = tuple(change or changes[name]), quick or method is not None
+        second = None if alone else second_run(runs[0], asked, console.print)
         folder = agents / "weights" if name == RECORDED else None
-        for one in answered(
-            runs, tuple(change or changes[name]), 2 if quick else repetitions, folder, planning
-        ):
+        for one in answered(runs, asked, 2 if quick else repetitions, folder, planning, second):
             found = list(rows(name, runs, one))
             parts += found
             _print(console, name, one, found)

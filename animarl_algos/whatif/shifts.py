@@ -82,17 +82,23 @@ def tips_over(thrust: float, speed: float) -> bool:
     return abs(math.log(speed)) > TIPPING * max(abs(math.log(thrust)), math.log1p(SMALL))
 
 
-def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
-    """Return ``low`` and ``high`` of a shift, widened as much as such answers have been wrong.
+def distances(row: Mapping[Any, Any]) -> list[float]:
+    """Return how far an answer is from others to the same question.
 
-    By the warning, and by how much the answer differs from others: from the other reading of a
-    changed body, from a simulator with other inputs, and, of a condition, from the recordings that
-    were learned from, which are known up to chance themselves.
+    From the other reading of a changed body, from a simulator with other inputs, and, of a
+    condition, from the recordings that were learned from, which are known up to chance themselves.
     """
     others = ("other_reading", "second_shift", "trained_shift")
     apart = [row.get(name, math.nan) - row["shift"] for name in others]
-    apart = [one for one in (*apart, row.get("trained_margin", math.nan)) if np.isfinite(one)]
-    factor = CALIBRATION[Caution(row["warning"])]
+    return [one for one in (*apart, row.get("trained_margin", math.nan)) if np.isfinite(one)]
+
+
+def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
+    """Return ``low`` and ``high`` of a shift, widened as much as such answers have been wrong.
+
+    By the warning, and by how much the answer differs from others (:func:`distances`).
+    """
+    factor, apart = CALIBRATION[Caution(row["warning"])], distances(row)
     below, above = (factor * math.hypot(row["shift"] - row[end], *apart) for end in ("low", "high"))
     return row["shift"] - below, row["shift"] + above
 

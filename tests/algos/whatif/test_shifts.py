@@ -51,6 +51,9 @@ def test_calibrated_intervals_are_those_of_the_published_truth() -> None:
     for warning, factor in CALIBRATION.items():
         assert found.loc["all", str(warning)] == pytest.approx(factor, abs=0.01)
     assert found.loc["all", "calibrated"] > 0.9 > found.loc["all", "raw"]
+    assert (found["wider"] >= 1.0).all()
+    apart = calibration(table.assign(second_shift=table["predicted"] + 1e9)).set_index("set")
+    assert (apart["wider"] > 1e3).all() and (apart["calibrated"] == 1.0).all()
     row = {"shift": 2.0, "low": 1.0, "high": 4.0, "other_reading": 2.0, "warning": Caution.NONE}
     assert calibrated(row) == (1.0, 4.0)
     assert calibrated(row | {"other_reading": np.nan}) == (1.0, 4.0)
