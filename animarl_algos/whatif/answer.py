@@ -395,16 +395,20 @@ class _Comparison:
         if scenario.condition is not None:
             beside = self._trained_shifts(scenario.condition)
         elif second is not None:
-            beside = second.shifts_beside(scenario, thrusts)
+            keys = ("shift", "low", "high", "gap")
+            beside = {
+                row["quantity"]: {f"second_{key}": row[key] for key in keys}
+                for row in second.rows(scenario, thrusts)
+            }
         table = table.join(pd.DataFrame(beside).T, on="quantity") if beside else table
         more, inputs = (now - usual for now, usual in zip(beyond, self.usual))
         species = change_world(self.species, **options)
         warning, reason = self._warning(more, inputs, table, self._tipping(species, changed))
         low = high = p = np.full(len(table), np.nan)
         if nulls:
-            null = np.array([one.shifts(scenario) for one in nulls])
+            null = [[row["shift"] for row in one.rows(scenario, thrusts)] for one in nulls]
             low, high = np.nanquantile(null, [0.025, 0.975], axis=0)
-            p = share_as_large(table["shift"].to_numpy(), null)
+            p = share_as_large(table["shift"].to_numpy(), np.array(null))
         table = table.assign(
             beyond=np.nanmax(more), null_low=low, null_high=high, p=p, warning=warning
         )
@@ -424,17 +428,12 @@ class _Comparison:
         table["baseline"] = table["recorded"] + table["gap"]
         return table[["quantity", "unit", "recorded", "baseline", "baseline_error", "gap"]]
 
-    def shifts_beside(
+    def rows(
         self, scenario: ChangedWorld, thrusts: Mapping[str, float]
-    ) -> dict[str, dict[str, float]]:
-        """Return by quantity what a second simulator answers, in the columns of the first."""
+    ) -> Iterator[dict[str, Any]]:
+        """Return the rows of an answer that stands beside another."""
         options = scenario.options(self.species, self.unit, thrusts)
-        changed = self._simulate(scenario, options, self.reading)[0]
-        keys = ("shift", "low", "high", "gap")
-        return {
-            row["quantity"]: {f"second_{key}": row[key] for key in keys}
-            for row in self._rows(scenario, changed, None)
-        }
+        return self._rows(scenario, self._simulate(scenario, options, self.reading)[0], None)
 
     def _trained_shifts(self, condition: str) -> dict[str, dict[str, float]]:
         """Return by quantity how recordings of a condition differ that were learned from."""
@@ -449,12 +448,6 @@ class _Comparison:
             )
             shifts[quantity.name] = {"trained_shift": shift, "trained_margin": margin}
         return shifts
-
-    def shifts(self, scenario: ChangedWorld) -> list[float]:
-        """Return the shift of each quantity."""
-        options = scenario.options(self.species, self.unit)
-        changed = self._simulate(scenario, options, self.reading)[0]
-        return [row["shift"] for row in self._rows(scenario, changed, None)]
 
     def _simulate(
         self,
