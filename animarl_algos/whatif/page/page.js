@@ -249,13 +249,14 @@
       pen.stroke();
     }
     pen.setLineDash([]);
-    Object.assign(pen, { strokeStyle: quiet, fillStyle: quiet, lineWidth: 1.5 });
-    for (const [x, y, radius] of world.holes || []) {
-      if (x === Infinity) continue;
+    Object.assign(pen, { strokeStyle: quiet, fillStyle: style.getPropertyValue("--field"), lineWidth: 1.5 });
+    for (const ink of ["stroke", "fill"]) for (const [x, y, radius] of world.holes || []) {
+      if (x === Infinity || (ink === "fill" && radius < 100 * world.size)) continue; // what lies behind a straight wall is hidden
       pen.beginPath();
       pen.arc(...toPixels([x, y]), radius * unit, 0, 2 * Math.PI);
-      pen.stroke();
+      pen[ink]();
     }
+    pen.fillStyle = quiet;
     (world.landmarks || []).forEach((at, k) => {
       if (at[0] < Infinity) pen.fillText(`\u25b2 ${model.arena.landmarks[k][0]}`, ...toPixels(at));
     });

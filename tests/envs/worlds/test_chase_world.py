@@ -307,6 +307,15 @@ def test_nobody_leaves_a_polygon(shape: str) -> None:
     assert touched > 100
 
 
+@pytest.mark.parametrize("shape", ["square", "ring=0.4", "rectangle=0.5", TRIANGLE])
+def test_states_of_any_arena_are_observed_as_in_simulation(shape: str) -> None:
+    made = world(4, arena=shape, rebound=True)
+    made.step(np.full((4, 3), 6))
+    species: Any = made.scenario.species
+    states = made.position, made.velocity, made.acceleration, made.step_count
+    np.testing.assert_array_equal(observe(species, *states)[0], made.observation)
+
+
 def test_the_long_wall_of_a_rectangle_is_perceived() -> None:
     made = world(1, [[0.5, 0.45], [0.5, 0.0], [0.5, -0.5]], arena="rectangle=0.5", rebound=True)
     seen = {
