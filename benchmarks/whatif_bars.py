@@ -142,12 +142,14 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
     """Return factors on margins by warning, and how often intervals hold the truth of a set.
 
     A margin is that of the miss beside the distances to other answers (habit against knowledge, the
-    second simulator, the recordings of a condition), as their hypotenuse. Its factor, by warning,
-    covers 90 % of the rows of all other sets, every change counting alike, and is 1 at least. The
-    row *all* has the factors of all sets, and the coverage of each set by those of the others.
-    *Wider* is the median factor between the raw margin and the calibrated one.
+    second simulator), as their hypotenuse. Its factor, by warning, covers 90 % of the rows of all
+    other sets, every change counting alike, and is 1 at least. The row *all* has the factors of all
+    sets, and the coverage of each set by those of the others. *Wider* is the median factor between
+    the raw margin and the calibrated one. Conditions are left out: their answers are anchored to
+    recordings (docs/results/treatments).
     """
-    seen = table[table["miss_high"] - table["miss_low"] > 1e-12]
+    of_conditions = table["change"].str.startswith("condition=")
+    seen = table[(table["miss_high"] - table["miss_low"] > 1e-12) & ~of_conditions]
     side = np.where(
         seen["miss"] > 0, seen["miss"] - seen["miss_low"], seen["miss_high"] - seen["miss"]
     ).clip(1e-12)
@@ -163,7 +165,7 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
         place = min(int(np.searchsorted(share, LEVEL)), len(order) - 1)
         return max(1.0, float(score[rows].to_numpy()[order][place]))
 
-    found, covered = [], pd.Series(False, index=seen.index)
+    found, covered = [], pd.Series(np.nan, index=seen.index)
     wider = pd.Series(np.nan, index=seen.index)
     for name in [*seen["set"].unique(), "all"]:
         own = seen["set"] == name

@@ -107,7 +107,7 @@ def simulate_from(
         def act(policy: Policy) -> Policy:
             return wrap(SubsetPolicy(policy, present))
 
-    scenario = run.starting_from("test", condition, demos=demos, species=species)
+    scenario = run.starting_from(None, condition, demos=demos, species=species)
     if absent:
         make = partial(FewerWorld, scenario, present=present, farthest=farthest)
     rollouts: Rollouts = run.roll_out(

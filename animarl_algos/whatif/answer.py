@@ -17,7 +17,7 @@ from animarl_algos.evaluation.prepared import censored, comparison_smoothing
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.whatif.absent import Present, simulate_from
-from animarl_algos.whatif.changes import ChangedWorld, parse_scenarios
+from animarl_algos.whatif.changes import CONDITION, ChangedWorld, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_algos.whatif.quantities import (
     ALL,
@@ -107,13 +107,15 @@ class Answer:
         where rollouts stop with a recording that was cut
         (:func:`~animarl_algos.evaluation.prepared.censored`).
         ``second_shift, second_low, second_high, second_gap`` are of a simulator with other inputs,
-        if one was asked; of a condition, ``trained_shift`` and its ``trained_margin`` are the
-        difference between the recordings that were learned from.
+        if one was asked. Of a condition, ``trained_shift`` and its ``trained_margin`` are the
+        difference between the recordings that were learned from, ``trained_mean`` is the mean of
+        those of it, and ``trained_simulated`` what is simulated from the starts of the others.
         ``seeds_low`` to ``seeds_high`` is the range of the shifts of single training seeds,
         ``beyond`` the share of steps more than usual with inputs that training did not have.
         ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
         and ``p`` how often these move any quantity as far.
-        ``calibrated_low`` to ``calibrated_high`` is the interval as wide as such answers have been
+        ``calibrated`` is the shift, of a condition anchored to the recordings, and
+        ``calibrated_low`` to ``calibrated_high`` its interval, as wide as such answers have been
         wrong (:func:`~animarl_algos.whatif.shifts.calibrated`).
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
         falls. Where the truth is known, ``true, true_low, true_high`` are the true shift, and
@@ -393,7 +395,7 @@ class _Comparison:
         table = pd.DataFrame(self._rows(scenario, changed, other, true))
         beside: dict[str, Any] = {}
         if scenario.condition is not None:
-            beside = self._trained_shifts(scenario.condition)
+            beside = self._learned_from(scenario)
         elif second is not None:
             keys = ("shift", "low", "high", "gap")
             beside = {
@@ -414,8 +416,9 @@ class _Comparison:
         )
         cue = scenario.condition is not None and not self.species.condition_is_sensed
         table["judged"] = [judge(row, of_a_cue=cue) for row in table.to_dict("records")]
-        wide = [calibrated(row) for row in table.to_dict("records")]
-        table[["calibrated_low", "calibrated_high"]] = wide
+        table[["calibrated", "calibrated_low", "calibrated_high"]] = [
+            calibrated(row) for row in table.to_dict("records")
+        ]
         table["finding"] = table["judged"].isin((RISES, FALLS))
         if scenario.removed:
             species = Present.without(species, scenario.removed).species
@@ -435,19 +438,32 @@ class _Comparison:
         options = scenario.options(self.species, self.unit, thrusts)
         return self._rows(scenario, self._simulate(scenario, options, self.reading)[0], None)
 
-    def _trained_shifts(self, condition: str) -> dict[str, dict[str, float]]:
-        """Return by quantity how recordings of a condition differ that were learned from."""
+    def _learned_from(self, scenario: ChangedWorld) -> dict[str, dict[str, float]]:
+        """Return by quantity what recordings show of a condition that were learned from.
+
+        How they differ by it, their mean, and what is simulated from the starts of those without.
+        """
         known = learnable(self.runs[0].demos)
         recorded = Rollouts.from_demonstrations(known)
-        treated = known.condition == self.species.conditions.index(condition)
+        treated = known.condition == self.species.conditions.index(str(scenario.condition))
+        told = replace(
+            scenario, changes=tuple(one for one in scenario.changes if one.what == CONDITION)
+        )
+        simulated = self._simulate(told, {}, self.reading, 1, known)[0]
         measured = measured_quantities(known, self.unit, self.keys, self.smoothing)
-        shifts = {}
+        found = {}
         for quantity in (*quantities_of(recorded, self.unit), *(measured if self.keys else ())):
-            shift, margin = shift_between_conditions(
-                quantity.values(recorded), treated, known.recording
-            )
-            shifts[quantity.name] = {"trained_shift": shift, "trained_margin": margin}
-        return shifts
+            values = quantity.values(recorded)
+            shift, margin = shift_between_conditions(values, treated, known.recording)
+            found[quantity.name] = {
+                "trained_shift": shift,
+                "trained_margin": margin,
+                "trained_mean": np.nanmean(values[treated]),
+                "trained_simulated": np.nanmean(
+                    quantity.values(simulated)[~treated[simulated.demo]]
+                ),
+            }
+        return found
 
     def _simulate(
         self,
@@ -455,14 +471,16 @@ class _Comparison:
         options: Mapping[str, Any],
         reading: Reading,
         repetitions: int | None = None,
+        starts: Demonstrations | None = None,
     ) -> tuple[Rollouts, Floats, Floats]:
         """Return rollouts of all runs, and shares of inputs beyond their range.
 
-        Shares are NaN for removed individuals.
+        From test starts unless others are given. Shares are NaN for removed individuals.
         """
         parts: list[Rollouts] = []
         names = self.species.individuals
-        moved = scenario.move_starts(self.test, change_world(self.species, **options))
+        starts = self.test if starts is None else starts
+        moved = scenario.move_starts(starts, change_world(self.species, **options))
         there = [i for i, name in enumerate(names) if name not in scenario.removed]
         cue: dict[str, Any] = {}
         if scenario.condition is not None:

@@ -52,8 +52,9 @@ WARNINGS = (
     "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
     "answers were wrong in worlds with a known truth: it grows with the warning, with the "
     "difference between habit and knowledge of a changed body and with that to a second simulator, "
-    "whose animals perceive other things, and of a condition with what the recordings that were "
-    "learned from show. Where both simulators disagree beyond their intervals and their gaps, it "
+    "whose animals perceive other things. The calibrated shift by a condition is anchored to the "
+    "recordings: those under it that were learned from, moved by how these animals differ from "
+    "them in simulation. Where both simulators disagree beyond their intervals and their gaps, it "
     "cannot be told from these recordings."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
@@ -246,9 +247,8 @@ def answer_table(
             "Shift [95 % interval]": lambda row: with_interval(
                 scaled(Interval(row["shift"], row["low"], row["high"]), _factor(row))
             ),
-            "Calibrated": lambda row: interval_text(row, "calibrated"),
+            "Calibrated": lambda row: _with_interval(row, "calibrated"),
             **_columns_beside(answers),
-            **(_truth_columns() if "true" in answers[0].table else {}),
             "Shift is": lambda row: (
                 row["judged"] + (f" (p = {number(row['p'], 2)})" if row["p"] == row["p"] else "")
             ),
@@ -258,12 +258,6 @@ def answer_table(
         faint=lambda row: not row["finding"],
         hatched=lambda row: row["warning"] == Caution.RED,
     )
-
-
-def interval_text(row: pd.Series, name: str) -> str:
-    """Return an interval of a row's quantity without its middle, ``[1.01, 1.46]``."""
-    ends = [_factor(row) * row[f"{name}_{end}"] for end in ("low", "high")]
-    return with_interval(Interval(sum(ends) / 2, *ends)).partition(" ")[2]
 
 
 def unchanged_table(table: pd.DataFrame, recorded: str = RECORDED) -> page.Table:
@@ -299,7 +293,7 @@ def _with_error(row: pd.Series, key: str) -> str:
 
 
 def _columns_beside(answers: Sequence[Answer]) -> dict[str, Callable[[pd.Series], str]]:
-    """Return the columns of a second simulator, and of the recordings that were learned from."""
+    """Return the columns of a second simulator, of recordings learned from, and of the truth."""
 
     def of_second(row: pd.Series) -> str:
         if "second_shift" not in row:
@@ -314,15 +308,15 @@ def _columns_beside(answers: Sequence[Answer]) -> dict[str, Callable[[pd.Series]
         return with_interval(scaled(interval, _factor(row)))
 
     known = {name for answer in answers for name in answer.table}
-    columns = {"By other inputs": of_second} if "second_shift" in known else {}
-    return columns | ({"Learned from": of_recordings} if "trained_shift" in known else {})
-
-
-def _truth_columns() -> dict[str, Callable[[pd.Series], str]]:
-    return {
-        "True shift": lambda row: _with_interval(row, "true"),
-        f"Shift\n{MINUS} true": lambda row: _with_interval(row, "miss"),
-    }
+    columns: dict[str, Callable[[pd.Series], str]] = {}
+    if "second_shift" in known:
+        columns["By other inputs"] = of_second
+    if "trained_shift" in known:
+        columns["Learned from"] = of_recordings
+    if "true" in known:
+        columns["True shift"] = lambda row: _with_interval(row, "true")
+        columns[f"Shift\n{MINUS} true"] = lambda row: _with_interval(row, "miss")
+    return columns
 
 
 def _with_interval(row: pd.Series, key: str) -> str:

@@ -84,9 +84,9 @@ def quantities_of(
         return mean_of(apart, rollouts)
 
     for metric in METRICS:
-        if metric.own is not None:
-            own = partial(_own_values, metric, scale=scale)
-            yield Quantity(metric.label.lower(), metric.unit, own)
+        if (own := metric.own) is not None:
+            label = metric.label.lower()
+            yield Quantity(label, metric.unit, lambda made, own=own: own(made, scale))  # type: ignore[misc]
     if is_free(of.roles):  # nothing is reached, and only the film ends
         yield Quantity("speed", f"{name}/s", lambda made: speeds_of(made, scale).mean(axis=1))
         if len(of.individuals) > 1:
@@ -101,11 +101,6 @@ def quantities_of(
     for index, individual in enumerate(of.individuals):
         if individual in named:
             yield Quantity(f"speed of {individual}", f"{name}/s", speed_of(index))
-
-
-def _own_values(metric: Metric, rollouts: Rollouts, *, scale: float) -> Floats:
-    assert metric.own is not None
-    return metric.own(rollouts, scale)
 
 
 def measured_quantities(

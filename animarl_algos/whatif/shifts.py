@@ -83,24 +83,26 @@ def tips_over(thrust: float, speed: float) -> bool:
 
 
 def distances(row: Mapping[Any, Any]) -> list[float]:
-    """Return how far an answer is from others to the same question.
+    """Return how far an answer is from others: by another reading of a body, by other inputs."""
+    apart = [row.get(name, math.nan) - row["shift"] for name in ("other_reading", "second_shift")]
+    return [one for one in apart if np.isfinite(one)]
 
-    From the other reading of a changed body, from a simulator with other inputs, and, of a
-    condition, from the recordings that were learned from, which are known up to chance themselves.
+
+def calibrated(row: Mapping[Any, Any]) -> tuple[float, float, float]:
+    """Return a shift and the interval that is as wide as such answers have been wrong.
+
+    It grows with the warning and with the :func:`distances` from other answers. The shift by a
+    condition is anchored to the recordings: those under it that were learned from, moved by how
+    these animals differ from them in simulation, beside the recordings without it. So what the
+    simulator misses of all animals alike leaves it; the chance of the animals that were learned
+    from is in its interval.
     """
-    others = ("other_reading", "second_shift", "trained_shift")
-    apart = [row.get(name, math.nan) - row["shift"] for name in others]
-    return [one for one in (*apart, row.get("trained_margin", math.nan)) if np.isfinite(one)]
-
-
-def calibrated(row: Mapping[Any, Any]) -> tuple[float, float]:
-    """Return ``low`` and ``high`` of a shift, widened as much as such answers have been wrong.
-
-    By the warning, and by how much the answer differs from others (:func:`distances`).
-    """
-    factor, apart = CALIBRATION[Caution(row["warning"])], distances(row)
+    factor, apart, shift = CALIBRATION[Caution(row["warning"])], distances(row), row["shift"]
+    if np.isfinite(margin := row.get("trained_margin", math.nan)):
+        moved = row["changed"] - row["trained_simulated"]
+        apart, shift = [margin], row["trained_mean"] + moved - row["recorded"]
     below, above = (factor * math.hypot(row["shift"] - row[end], *apart) for end in ("low", "high"))
-    return row["shift"] - below, row["shift"] + above
+    return shift, shift - below, shift + above
 
 
 def widen_for_family(shift: Interval, answers: int, units: int) -> Interval:

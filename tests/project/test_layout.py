@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 5_600,
     "animarl_algos.report": 17_208,
     "animarl_algos.runs": 16_190,
-    "animarl_algos.whatif": 21_195,
+    "animarl_algos.whatif": 21_227,
     "animarl_algos.zoo": 3_030,
     "animarl_envs": 19_419,
     "animarl_envs.demos": 9_265,

@@ -55,11 +55,15 @@ def test_calibrated_intervals_are_those_of_the_published_truth() -> None:
     apart = calibration(table.assign(second_shift=table["predicted"] + 1e9)).set_index("set")
     assert (apart["wider"] > 1e3).all() and (apart["calibrated"] == 1.0).all()
     row = {"shift": 2.0, "low": 1.0, "high": 4.0, "other_reading": 2.0, "warning": Caution.NONE}
-    assert calibrated(row) == (1.0, 4.0)
-    assert calibrated(row | {"other_reading": np.nan}) == (1.0, 4.0)
-    low, high = calibrated(row | {"warning": "red", "other_reading": 5.0})
+    assert calibrated(row) == (2.0, 1.0, 4.0)
+    assert calibrated(row | {"other_reading": np.nan}) == (2.0, 1.0, 4.0)
+    found = calibrated(row | {"warning": "red", "other_reading": 5.0})
     factor = CALIBRATION[Caution.RED]
-    assert (low, high) == pytest.approx((2 - factor * 10**0.5, 2 + factor * 13**0.5))
+    assert found == pytest.approx((2, 2 - factor * 10**0.5, 2 + factor * 13**0.5))
+    # Of a condition: recorded 10 without it; simulated 12 with it, 3 too few in training.
+    cue = {"recorded": 10.0, "changed": 12.0, "trained_margin": 3.0}
+    cue |= {"trained_mean": 14.0, "trained_simulated": 11.0}
+    assert calibrated(row | cue) == pytest.approx((5, 5 - 10**0.5, 5 + 13**0.5))
 
 
 @pytest.mark.parametrize(

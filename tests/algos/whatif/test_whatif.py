@@ -629,11 +629,11 @@ def test_where_two_simulators_disagree_the_recordings_cannot_tell(chase: Run) ->
     other = {"second_low": -0.64, "second_high": -0.44, "second_gap": 0.1}
     assert judge(row, of_a_cue=False) == "not clear of zero"
     assert judge(row | other | {"second_shift": -0.54}, of_a_cue=False) == CANNOT_TELL
-    low, high = calibrated(row | other | {"second_shift": -0.54})
-    assert low < -0.54 < -0.03 < high
+    shift, low, high = calibrated(row | other | {"second_shift": -0.54})
+    assert low < -0.54 < -0.03 == shift < high
     near = other | {"second_shift": -0.1, "second_low": -0.2, "second_high": 0.0}
     assert judge(row | near, of_a_cue=False) == "not clear of zero"
-    assert calibrated(row)[0] > calibrated(row | near)[0] > low
+    assert calibrated(row)[1] > calibrated(row | near)[1] > low
     # The same simulator twice says the same; a condition stands beside what was learned from.
     found = ask([chase], ["arena=x0.9", "condition=shared"], second=chase, separately=True)
     arena, cue = (answer.table.set_index("quantity") for answer in found.answers)
@@ -644,6 +644,10 @@ def test_where_two_simulators_disagree_the_recordings_cannot_tell(chase: Run) ->
     known = chase.demos.select(episodes=np.flatnonzero(chase.demos.split != "test"))
     reached = [(known.outcome[known.condition == c] > 0).mean() for c in (1, 0)]
     assert cue.loc["reached", "trained_shift"] == pytest.approx(reached[0] - reached[1])
+    assert cue.loc["reached", "trained_mean"] == pytest.approx(reached[0])
+    moved = cue["trained_mean"] + cue["changed"] - cue["trained_simulated"] - cue["recorded"]
+    assert np.allclose(cue["calibrated"], moved)
+    assert (arena["calibrated"] == arena["shift"]).all()
 
 
 def test_intervals_of_several_answers_hold_together() -> None:
