@@ -183,6 +183,12 @@ class Arena:
         inside = (extent <= self.edge + margin) | (self.shape == "open")
         return np.asarray(inside & (_clearance(positions, self.holes) >= -margin))
 
+    def free_places(self, half: float) -> Floats:
+        """Return those places of a grid over the square of this half side where one may be."""
+        line = np.linspace(-half, half, 21)
+        places = np.dstack(np.meshgrid(line, line)).reshape(-1, 2)
+        return np.asarray(places[self.contains(places)])
+
 
 def _clearance(positions: NDArray[np.floating], holes: Any) -> Floats:
     clear = np.full(positions.shape[:-1], np.inf)

@@ -66,8 +66,7 @@ class ChaseSpecies(Species):
     def check_uniform_starts(self) -> None:
         """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
         half = self.start_half_side
-        line = np.linspace(-half, half, 21)
-        if not self.arena.contains(np.stack(np.meshgrid(line, line), axis=-1)).any():
+        if not len(self.arena.free_places(half)):
             raise InputError(
                 f"start_half_side is {half}: that square lies within obstacles, so make it larger"
             )

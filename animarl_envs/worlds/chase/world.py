@@ -193,10 +193,8 @@ def observing_world(
     species: ChaseSpecies, num_copies: int, observers: Iterable[int] | None = None
 ) -> ChaseWorld:
     """Return a world that makes observations of states that are given, and is never stepped."""
-    count, arena = species.num_individuals, species.arena
-    line = np.linspace(-arena.size, arena.size, 41)
-    places = np.dstack(np.meshgrid(line, line)).reshape(-1, 2)
-    start = places[arena.contains(places)][:1].repeat(count, axis=0)  # somewhere free
+    count = species.num_individuals
+    start = species.arena.free_places(species.arena.size)[:1].repeat(count, axis=0)
     still = Scenario(species=species, start=start, drivers=("action",) * count)
     return ChaseWorld(still, num_copies, observers)
 
