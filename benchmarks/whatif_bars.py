@@ -18,7 +18,7 @@ from animarl_algos.whatif.extrapolation import Caution
 from animarl_algos.whatif.shifts import distances
 
 RECORDED = "recorded-agents"
-LEVEL, FEWEST = 0.9, 5  # of rows that are covered; rows to find a factor by
+LEVEL = 0.9  # of rows that are to be covered
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -139,13 +139,12 @@ def held_out_rules(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def calibration(table: pd.DataFrame) -> pd.DataFrame:
-    """Return factors on margins by warning, and how often intervals hold the truth of a set.
+    """Return how often intervals hold the truth, by set: ``raw``, ``calibrated``.
 
-    A margin is that of the miss beside the distances to other answers (habit against knowledge, the
-    second simulator), as their hypotenuse. Its factor, by warning, covers 90 % of the rows of all
-    other sets, every change counting alike, and is 1 at least. The row *all* has the factors of all
-    sets, and the coverage of each set by those of the others. *Wider* is the median factor between
-    the raw margin and the calibrated one. Conditions are left out: their answers are anchored to
+    A calibrated margin is the hypotenuse of the margin of the miss and of the distances to other
+    answers (habit against knowledge, the second simulator); no number in it was fitted. *Wider* is
+    the median factor between both margins, and *needed* the factor on the calibrated one with which
+    90 % of the rows would be covered. Conditions are left out: their answers are anchored to
     recordings (docs/results/treatments).
     """
     of_conditions = table["change"].str.startswith("condition=")
@@ -155,33 +154,20 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
     ).clip(1e-12)
     answers = seen.rename(columns={"predicted": "shift"}).to_dict("records")
     margin = np.hypot(side, [math.hypot(*distances(one)) for one in answers])
-    score = seen["miss"].abs() / margin
-    change = seen["set"] + "|" + seen["change"] + "|" + seen["reading"]
-
-    def factor(rows: pd.Series) -> float:
-        weight = 1.0 / change[rows].map(change[rows].value_counts())
-        order = np.argsort(score[rows].to_numpy())
-        share = np.cumsum(weight.to_numpy()[order]) / weight.sum()
-        place = min(int(np.searchsorted(share, LEVEL)), len(order) - 1)
-        return max(1.0, float(score[rows].to_numpy()[order][place]))
-
-    found, covered = [], pd.Series(np.nan, index=seen.index)
-    wider = pd.Series(np.nan, index=seen.index)
-    for name in [*seen["set"].unique(), "all"]:
-        own = seen["set"] == name
-        line: dict[str, Any] = {"set": name}
-        for warning in Caution:
-            of_warning = seen["warning"] == warning
-            others = of_warning & ~own
-            line[str(warning)] = factor(others) if others.sum() > FEWEST else np.nan
-            here = own & of_warning
-            wider[here] = line[str(warning)] * margin[here] / side[here]
-            covered[here] = score[here] <= line[str(warning)]
-        rows = own if own.any() else pd.Series(True, index=seen.index)
-        raw = seen["covered"].astype(bool)[rows].mean()
-        line |= {"raw": raw, "calibrated": covered[rows].mean(), "wider": wider[rows].median()}
-        found.append(line)
-    return pd.DataFrame(found)
+    rows = pd.DataFrame(
+        {
+            "set": seen["set"], "raw": seen["covered"].astype(bool), "wider": margin / side,
+            "score": seen["miss"].abs() / margin,
+        }
+    )  # fmt: skip
+    return pd.DataFrame(
+        {
+            "set": name, "rows": len(own), "raw": own["raw"].mean(),
+            "calibrated": (own["score"] <= 1.0).mean(), "wider": own["wider"].median(),
+            "needed": own["score"].quantile(LEVEL),
+        }
+        for name, own in [*rows.groupby("set", sort=False), ("all", rows)]
+    )  # fmt: skip
 
 
 def warned(table: pd.DataFrame) -> str:
@@ -239,13 +225,13 @@ def page(table: pd.DataFrame, short: pd.DataFrame, held: pd.DataFrame) -> str:
         lines += ["| rule | of wrong rows of the set left out | of others |", "|---|---|---|"]
         lines += [f"| {row.rule} | {row[2]:.0%} | {row[3]:.0%} |"
                   for row in held_out_rules(table).itertuples()]  # fmt: skip
-        lines += ["", "Calibrated intervals, each set by the factors of the others:", ""]
-        lines += [*map(str.strip, str(calibration.__doc__).strip().splitlines()[2:]), ""]
-        lines += ["| set | no warning | some | red | covered, raw | covered, calibrated | wider |"]
-        lines += ["|---|---|---|---|---|---|---|"]
-        lines += [
-            f"| {row.set} | {row.none:.2f} | {row.some:.2f} | {row.red:.2f} | {row.raw:.0%} | "
-            f"{row.calibrated:.0%} | {row.wider:.2f} |"
-            for row in calibration(table).itertuples()
-        ]
+    lines += ["", "Calibrated intervals:", ""]
+    lines += [*map(str.strip, str(calibration.__doc__).strip().splitlines()[2:]), ""]
+    lines += ["| set | rows | covered, raw | covered, calibrated | wider | needed |"]
+    lines += ["|---|---|---|---|---|---|"]
+    lines += [
+        f"| {row.set} | {row.rows} | {row.raw:.1%} | {row.calibrated:.1%} | {row.wider:.2f} | "
+        f"{row.needed:.2f} |"
+        for row in calibration(table).itertuples()
+    ]
     return "\n".join([*lines, ""])

@@ -50,11 +50,11 @@ WARNINGS = (
     f"A warning is some above {YELLOW:.0%} and red above {RED:.0%} more steps than in the "
     "unchanged world in which an individual perceives what lies beyond the central 99.8 % of its "
     "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
-    "answers were wrong in worlds with a known truth: it grows with the warning, with the "
-    "difference between habit and knowledge of a changed body and with that to a second simulator, "
-    "whose animals perceive other things. The calibrated shift by a condition is anchored to the "
-    "recordings: those under it that were learned from, moved by how these animals differ from "
-    "them in simulation. Where both simulators disagree beyond their intervals and their gaps, it "
+    "answers were wrong in worlds with a known truth: it grows with the difference between habit "
+    "and knowledge of a changed body and with that to a second simulator, whose animals perceive "
+    "other things. The calibrated shift by a condition is anchored to the recordings: those under "
+    "it that were learned from, moved by how these animals differ from them in simulation. Where "
+    "both simulators disagree beyond their intervals and their gaps, it "
     "cannot be told from these recordings."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}

@@ -22,9 +22,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 RISES, FALLS = "rises", "falls"
 CANNOT_TELL = "cannot be told from these recordings"
-CALIBRATION = {Caution.NONE: 1.0, Caution.SOME: 1.03, Caution.RED: 1.67}
-"""Factors on the margins of :func:`calibrated`, by warning: with them 90 % of the shifts in worlds
-with a known truth were covered (docs/results/whatif)."""
 TIPPING, SMALL = 2.0, 0.05
 """Speeds that change by more than this power of the thrust tip over; smaller changes of a thrust
 count as this one."""
@@ -91,17 +88,16 @@ def distances(row: Mapping[Any, Any]) -> list[float]:
 def calibrated(row: Mapping[Any, Any]) -> tuple[float, float, float]:
     """Return a shift and the interval that is as wide as such answers have been wrong.
 
-    It grows with the warning and with the :func:`distances` from other answers. The shift by a
-    condition is anchored to the recordings: those under it that were learned from, moved by how
-    these animals differ from them in simulation, beside the recordings without it. So what the
-    simulator misses of all animals alike leaves it; the chance of the animals that were learned
-    from is in its interval.
+    It grows with the :func:`distances` from other answers. The shift by a condition is anchored to
+    the recordings: those under it that were learned from, moved by how these animals differ from
+    them in simulation, beside the recordings without it. So what the simulator misses of all
+    animals alike leaves it; the chance of the animals that were learned from is in its interval.
     """
-    factor, apart, shift = CALIBRATION[Caution(row["warning"])], distances(row), row["shift"]
+    apart, shift = distances(row), row["shift"]
     if np.isfinite(margin := row.get("trained_margin", math.nan)):
         moved = row["changed"] - row["trained_simulated"]
         apart, shift = [margin], row["trained_mean"] + moved - row["recorded"]
-    below, above = (factor * math.hypot(row["shift"] - row[end], *apart) for end in ("low", "high"))
+    below, above = (math.hypot(row["shift"] - row[end], *apart) for end in ("low", "high"))
     return shift, shift - below, shift + above
 
 
