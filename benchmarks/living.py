@@ -48,6 +48,8 @@ ROLLOUTS, QUICK_ROLLOUTS, QUICK_EPOCHS = 120, 16, 2
 
 SETS = (
     DataSet("larvae", (), published="larvae", first=FIRST),
+    DataSet("termites_alone", (), published="termites_alone"),
+    DataSet("bats", (), published="bats_obstacles"),
     DataSet("pairs", (), published="termite_pairs"),
     DataSet("termites", (), published="termites"),
     DataSet("fish15", (), published="fish15"),
