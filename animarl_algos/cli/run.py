@@ -227,9 +227,11 @@ def run_command(**given: Any) -> None:
     if given["quick"]:
         console.print("This was a quick look: for a verdict to trust, run without --quick")
     folder, cells = shlex.quote(str(run.path)), run.environment_options.get(CELLS)
+    sliders = f"the same with sliders: animarl page {folder}; "
+    what, sliders = ("speed", "") if cells else ("thrust", sliders)
     console.print(
-        f"Next: animarl whatif {folder} --change {'speed' if cells else 'thrust'}=x1.2; the "
-        f"same with sliders: animarl page {folder}; for a paper: animarl figure {folder}"
+        f"Next: animarl whatif {folder} --change {what}=x1.2; {sliders}"
+        f"for a paper: animarl figure {folder}"
     )
 
 
