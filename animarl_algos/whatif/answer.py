@@ -446,16 +446,16 @@ class _Comparison:
         known = learnable(self.runs[0].demos)
         recorded = Rollouts.from_demonstrations(known)
         treated = known.condition == self.species.conditions.index(str(scenario.condition))
-        told = replace(
+        condition_alone = replace(
             scenario, changes=tuple(one for one in scenario.changes if one.what == CONDITION)
         )
-        simulated = self._simulate(told, {}, self.reading, 1, known)[0]
+        simulated = self._simulate(condition_alone, {}, self.reading, 1, known)[0]
         measured = measured_quantities(known, self.unit, self.keys, self.smoothing)
-        found = {}
+        statistics = {}
         for quantity in (*quantities_of(recorded, self.unit), *(measured if self.keys else ())):
             values = quantity.values(recorded)
             shift, margin = shift_between_conditions(values, treated, known.recording)
-            found[quantity.name] = {
+            statistics[quantity.name] = {
                 "trained_shift": shift,
                 "trained_margin": margin,
                 "trained_mean": np.nanmean(values[treated]),
@@ -463,7 +463,7 @@ class _Comparison:
                     quantity.values(simulated)[~treated[simulated.demo]]
                 ),
             }
-        return found
+        return statistics
 
     def _simulate(
         self,
