@@ -204,6 +204,7 @@ def draw_adapted(findings: Findings) -> Figure:
                 looks = {"color": style.method_colour(learner), "marker": "o"}
                 label = style.method_label(learner)
                 panel.semilogx(rows["steps"], rows["value"], label=label, **looks)
+            panel.xaxis.set_major_formatter("{x:,.0f}")  # SVG text has no superscripts
     return figure
 
 

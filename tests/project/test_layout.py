@@ -68,7 +68,7 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
-    "animarl_algos.benchmark": 21_131,
+    "animarl_algos.benchmark": 21_145,
     "animarl_algos.cli": 22_695,
     "animarl_algos.data": 8_641,
     "animarl_algos.evaluation": 42_721,
