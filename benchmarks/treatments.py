@@ -6,9 +6,9 @@
 Recordings of living animals under a real treatment are split anew for every row, and whole animals
 are kept aside. A simulator learns from the others under both conditions and is asked, as
 ``animarl whatif --change condition=NAME`` asks, what the treatment would do to those aside.
-The true shift is that of their own recordings. Two trivial answers stand beside the predicted one:
-the mean shift of the animals that were learned from, and the *same level*, their mean under the
-treatment minus what is recorded without it of those aside. Termites: the same female before she was
+Beside its shift, and that which is corrected by what the simulator misses of the others
+(``calibrated``), stand the true one, which their own recordings show, and the trivial answer: the
+mean shift of the animals that were learned from. Termites: the same female before she was
 paired and after her partner was taken away. Larvae: fed and deprived of protein, other animals
 each. Gray bats: a free channel and obstacles in it, alone and in company, other flights each. The
 recordings lie in $ANIMARL_DATA (by default ../shared/data). Finished splits are kept.
@@ -107,7 +107,6 @@ def split_rows(
     change = f"condition={treatment.treated}"
     table = ask([run], [change], truth=truth, measures=treatment.measures).answers[0].table
     table = table.rename(columns={"trained_shift": "trivial"})
-    table["same level"] = table["trained_mean"] - table["recorded"]
     table = table.assign(set=treatment.name, split=split, commit=commit())
     file.parent.mkdir(parents=True, exist_ok=True)
     with write_then_rename(file) as part:
@@ -118,7 +117,7 @@ def split_rows(
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each quantity of a set: coverage, and errors beside the trivial answer's.
 
-    ``predicted`` is anchored to the recordings, ``simulated`` is not. ``covered`` is the share of
+    ``predicted`` is calibrated, ``simulated`` is not. ``covered`` is the share of
     splits in which the calibrated interval and that of the true shift, which is of few animals,
     hold one value; ``strictly`` that in which the calibrated interval holds the true shift itself,
     ``by the plain interval`` the plain one. In ``nearer`` splits the prediction is nearer to the
@@ -135,7 +134,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                        for key, end in (("calibrated", "calibrated"), ("true", "true"))))
             for row in some.to_dict("records")
         ]  # fmt: skip
-        answers = some[["calibrated", "trivial", "same level", "shift"]]
+        answers = some[["calibrated", "trivial", "shift"]]
         errors = answers.sub(some["true"], axis=0).abs()
         rows.append({
             "set": name, "quantity": quantity, "unit": unit, "splits": len(some),
@@ -143,7 +142,6 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             "simulated": some["shift"].mean(), "trivial": some["trivial"].mean(),
             "error": errors["calibrated"].mean(),
             "error of the trivial answer": errors["trivial"].mean(),
-            "error of the same level": errors["same level"].mean(),
             "error of the simulated shift": errors["shift"].mean(),
             "nearer": (errors["calibrated"] < errors["trivial"]).sum(),
             "covered": np.mean([not miss.excludes_zero for miss in misses]),

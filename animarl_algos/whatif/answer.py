@@ -108,13 +108,13 @@ class Answer:
         (:func:`~animarl_algos.evaluation.prepared.censored`).
         ``second_shift, second_low, second_high, second_gap`` are of a simulator with other inputs,
         if one was asked. Of a condition, ``trained_shift`` and its ``trained_margin`` are the
-        difference between the recordings that were learned from, ``trained_mean`` is the mean of
-        those of it, and ``trained_simulated`` what is simulated from the starts of the others.
+        difference between the recordings that were learned from, and ``trained_miss`` is how far
+        that lies above the shift that is simulated from their starts.
         ``seeds_low`` to ``seeds_high`` is the range of the shifts of single training seeds,
         ``beyond`` the share of steps more than usual with inputs that training did not have.
         ``null_low`` to ``null_high`` is where 95 % of the shifts of runs with permuted labels lie,
         and ``p`` how often these move any quantity as far.
-        ``calibrated`` is the shift, of a condition anchored to the recordings, and
+        ``calibrated`` is the shift, of a condition corrected by ``trained_miss``, and
         ``calibrated_low`` to ``calibrated_high`` its interval, as wide as such answers have been
         wrong (:func:`~animarl_algos.whatif.shifts.calibrated`).
         ``judged`` is what :func:`judge` says, and ``finding`` is true where a quantity rises or
@@ -441,7 +441,7 @@ class _Comparison:
     def _learned_from(self, scenario: ChangedWorld) -> dict[str, dict[str, float]]:
         """Return by quantity what recordings show of a condition that were learned from.
 
-        How they differ by it, their mean, and what is simulated from the starts of those without.
+        How they differ by it, and how far that is above what is simulated from their starts.
         """
         known = learnable(self.runs[0].demos)
         recorded = Rollouts.from_demonstrations(known)
@@ -449,19 +449,21 @@ class _Comparison:
         condition_alone = replace(
             scenario, changes=tuple(one for one in scenario.changes if one.what == CONDITION)
         )
-        simulated = self._simulate(condition_alone, {}, self.reading, 1, known)[0]
+        before, after = (
+            self._simulate(world, {}, self.reading, 1, known)[0]
+            for world in (ChangedWorld(()), condition_alone)
+        )
         measured = measured_quantities(known, self.unit, self.keys, self.smoothing)
         statistics = {}
         for quantity in (*quantities_of(recorded, self.unit), *(measured if self.keys else ())):
-            values = quantity.values(recorded)
-            shift, margin = shift_between_conditions(values, treated, known.recording)
+            shift, margin = shift_between_conditions(
+                quantity.values(recorded), treated, known.recording
+            )
+            shifts = quantity.values(after) - quantity.values(before)
             statistics[quantity.name] = {
                 "trained_shift": shift,
                 "trained_margin": margin,
-                "trained_mean": np.nanmean(values[treated]),
-                "trained_simulated": np.nanmean(
-                    quantity.values(simulated)[~treated[simulated.demo]]
-                ),
+                "trained_miss": shift - np.nanmean(shifts[~treated[after.demo]]),
             }
         return statistics
 

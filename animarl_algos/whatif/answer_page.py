@@ -52,9 +52,9 @@ WARNINGS = (
     "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
     "answers were wrong in worlds with a known truth: it grows with the difference between habit "
     "and knowledge of a changed body and with that to a second simulator, whose animals perceive "
-    "other things. The calibrated shift by a condition is anchored to the recordings: those under "
-    "it that were learned from, moved by how these animals differ from them in simulation. Where "
-    "both simulators disagree beyond their intervals and their gaps, it "
+    "other things. The calibrated shift by a condition is corrected by what the simulator misses "
+    "of it in the recordings that were learned from. Where both simulators disagree beyond their "
+    "intervals and their gaps, it "
     "cannot be told from these recordings."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}

@@ -88,15 +88,13 @@ def distances(row: Mapping[Any, Any]) -> list[float]:
 def calibrated(row: Mapping[Any, Any]) -> tuple[float, float, float]:
     """Return a shift and the interval that is as wide as such answers have been wrong.
 
-    It grows with the :func:`distances` from other answers. The shift by a condition is anchored to
-    the recordings: those under it that were learned from, moved by how these animals differ from
-    them in simulation, beside the recordings without it. So what the simulator misses of all
-    animals alike leaves it; the chance of the animals that were learned from is in its interval.
+    It grows with the :func:`distances` from other answers. The shift by a condition is corrected by
+    what the simulator misses of it in the recordings that were learned from; the chance of those
+    is in its interval.
     """
     apart, shift = distances(row), row["shift"]
-    if np.isfinite(margin := row.get("trained_margin", math.nan)):
-        moved = row["changed"] - row["trained_simulated"]
-        apart, shift = [margin], row["trained_mean"] + moved - row["recorded"]
+    if np.isfinite(miss := row.get("trained_miss", math.nan)):
+        apart, shift = [row["trained_margin"]], shift + miss
     below, above = (math.hypot(row["shift"] - row[end], *apart) for end in ("low", "high"))
     return shift, shift - below, shift + above
 

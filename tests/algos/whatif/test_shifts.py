@@ -57,10 +57,9 @@ def test_calibrated_intervals_are_those_of_the_published_truth() -> None:
     assert calibrated(row | {"other_reading": np.nan}) == (2.0, 1.0, 4.0)
     found = calibrated(row | {"other_reading": 5.0, "second_shift": 4.0})
     assert found == pytest.approx((2, 2 - 14**0.5, 2 + 17**0.5))
-    # Of a condition: recorded 10 without it; simulated 12 with it, 3 too few in training.
-    cue = {"recorded": 10.0, "changed": 12.0, "trained_margin": 3.0}
-    cue |= {"trained_mean": 14.0, "trained_simulated": 11.0}
+    cue = {"trained_miss": 3.0, "trained_margin": 3.0}  # of a condition
     assert calibrated(row | cue) == pytest.approx((5, 5 - 10**0.5, 5 + 13**0.5))
+    assert calibrated(row | cue | {"trained_miss": np.nan}) == (2.0, 1.0, 4.0)
 
 
 @pytest.mark.parametrize(
