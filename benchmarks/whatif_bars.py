@@ -144,7 +144,7 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
     A calibrated margin is the hypotenuse of the margin of the miss and of the distances to other
     answers (habit against knowledge, the second simulator); no number in it was fitted. *Wider* is
     the median factor between both margins, and *needed* the factor on the calibrated one with which
-    90 % of the rows would be covered. Conditions are left out: their answers are anchored to
+    90 % of the rows would be covered. Conditions are left out: their answers are corrected by
     recordings (docs/results/treatments).
     """
     of_conditions = table["change"].str.startswith("condition=")
