@@ -151,6 +151,25 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def totals(found: pd.DataFrame) -> str:
+    """Return in words what the rows of :func:`summary` are together."""
+
+    def rows_of(name: str) -> str:
+        return f"{round((found[name] * found['splits']).sum())}"
+
+    smaller = [
+        (found["error"] < found[f"error of the {other}"]).sum()
+        for other in ("trivial answer", "simulated shift")
+    ]
+    return (
+        f"Of {found['splits'].sum()} rows {rows_of('covered')} are covered, {rows_of('strictly')} "
+        f"strictly, {rows_of('by the plain interval')} by the plain interval, and in "
+        f"{found['nearer'].sum()} the prediction is nearer than the trivial answer. Of "
+        f"{len(found)} mean errors {smaller[0]} are smaller than the trivial answer's, and "
+        f"{smaller[1]} than those of the simulated shift."
+    )
+
+
 def main(
     only: Annotated[list[str] | None, typer.Option(help="Such as termites.")] = None,
     splits: Annotated[int, typer.Option(help="Of the animals, each with its own training.")] = 20,
@@ -181,6 +200,7 @@ def main(
             made.to_csv(part, index=False)
     found = summary(table).round(3).to_markdown(index=False)
     console.print(found, soft_wrap=True, highlight=False, markup=False)
+    console.print(totals(summary(table)), soft_wrap=True, highlight=False)
 
 
 if __name__ == "__main__":

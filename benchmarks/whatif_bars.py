@@ -19,6 +19,7 @@ from animarl_algos.whatif.shifts import distances
 
 RECORDED = "recorded-agents"
 LEVEL = 0.9  # of rows that are to be covered
+SMALLER = "arena=x0.8"  # the change that is predicted worst, in a row of its own
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
@@ -139,7 +140,7 @@ def held_out_rules(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def calibration(table: pd.DataFrame) -> pd.DataFrame:
-    """Return how often intervals hold the truth, by set: ``raw``, ``calibrated``.
+    """Return how often intervals hold the truth, by set and of :data:`SMALLER` arenas.
 
     A calibrated margin is the hypotenuse of the margin of the miss and of the distances to other
     answers (habit against knowledge, the second simulator); no number in it was fitted. *Wider* is
@@ -156,7 +157,8 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
     margin = np.hypot(side, [math.hypot(*distances(one)) for one in answers])
     rows = pd.DataFrame(
         {
-            "set": seen["set"], "raw": seen["covered"].astype(bool), "wider": margin / side,
+            "set": seen["set"], "change": seen["change"],
+            "raw": seen["covered"].astype(bool), "wider": margin / side,
             "score": seen["miss"].abs() / margin,
         }
     )  # fmt: skip
@@ -166,7 +168,10 @@ def calibration(table: pd.DataFrame) -> pd.DataFrame:
             "calibrated": (own["score"] <= 1.0).mean(), "wider": own["wider"].median(),
             "needed": own["score"].quantile(LEVEL),
         }
-        for name, own in [*rows.groupby("set", sort=False), ("all", rows)]
+        for name, own in [
+            *rows.groupby("set", sort=False), (SMALLER, rows[rows["change"] == SMALLER]),
+            ("all", rows),
+        ]
     )  # fmt: skip
 
 
@@ -177,11 +182,12 @@ def warned(table: pd.DataFrame) -> str:
     )
     wrong = changes[changes["wrong"] >= 0.5]
     right = changes[changes["wrong"] < 0.5]
+    by_set = ", ".join(f"{name} {len(part)}" for name, part in wrong.groupby("set", sort=False))
     red = [int((part["warning"] == Caution.RED).sum()) for part in (wrong, right)]
     some = [int((part["warning"] != Caution.NONE).sum()) for part in (wrong, right)]
     return (
         f"{len(wrong)} of {len(changes)} changes are predicted wrongly in at least half of their "
-        f"quantities; {red[0]} of these have a red warning and {some[0]} any; "
+        f"quantities ({by_set}); {red[0]} of these have a red warning and {some[0]} any; "
         f"of {len(right)} others {red[1]} have a red one and {some[1]} any."
     )
 

@@ -51,11 +51,10 @@ WARNINGS = (
     "unchanged world in which an individual perceives what lies beyond the central 99.8 % of its "
     "training inputs. No warning is no guarantee. The calibrated interval also covers how far such "
     "answers were wrong in worlds with a known truth: it grows with the difference between habit "
-    "and knowledge of a changed body and with that to a second simulator, whose animals perceive "
-    "other things. The calibrated shift by a condition is corrected by what the simulator misses "
-    "of it in the recordings that were learned from. Where both simulators disagree beyond their "
-    "intervals and their gaps, it "
-    "cannot be told from these recordings."
+    "and knowledge of a changed body and with that to a second simulator with other inputs. The "
+    "calibrated shift by a condition is corrected by what the simulator misses of it in the "
+    "recordings that were learned from. Where both simulators disagree beyond their intervals and "
+    "their gaps, it cannot be told from these recordings."
 )
 SIGNS = {Caution.NONE: ("green", "="), Caution.SOME: ("amber", "~"), Caution.RED: ("red", "?")}
 SMALLEST_SHIFT = 1e-9  # on an axis; a smaller one is of rounding errors

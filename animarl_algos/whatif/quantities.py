@@ -71,6 +71,9 @@ def quantities_of(
     def speed_of(index: int) -> Callable[[Rollouts], Floats]:
         return lambda rollouts: speeds_of(rollouts, scale)[:, index]
 
+    def own_of(measure: Callable[[Rollouts, float], Floats]) -> Callable[[Rollouts], Floats]:
+        return lambda rollouts: measure(rollouts, scale)
+
     def mean_of(apart: Floats, rollouts: Rollouts) -> Floats:
         starts = rollouts.offsets[:-1]
         return np.asarray(scale * np.add.reduceat(apart, starts) / rollouts.lengths)
@@ -84,9 +87,8 @@ def quantities_of(
         return mean_of(apart, rollouts)
 
     for metric in METRICS:
-        if (own := metric.own) is not None:
-            label = metric.label.lower()
-            yield Quantity(label, metric.unit, lambda made, own=own: own(made, scale))  # type: ignore[misc]
+        if metric.own is not None:
+            yield Quantity(metric.label.lower(), metric.unit, own_of(metric.own))
     if is_free(of.roles):  # nothing is reached, and only the film ends
         yield Quantity("speed", f"{name}/s", lambda made: speeds_of(made, scale).mean(axis=1))
         if len(of.individuals) > 1:

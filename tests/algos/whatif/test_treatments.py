@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from benchmarks.treatments import summary
+from benchmarks.treatments import summary, totals
 
 
 def test_treatments_table_counts_splits_whose_interval_holds_the_true_shift() -> None:
@@ -20,3 +20,8 @@ def test_treatments_table_counts_splits_whose_interval_holds_the_true_shift() ->
     assert found["error of the simulated shift"] == 2.0
     assert found["covered"] == found["strictly"] == 0.5
     assert found["by the plain interval"] == 0.0
+    assert totals(summary(rows)) == (
+        "Of 2 rows 1 are covered, 1 strictly, 0 by the plain interval, and in 0 the prediction is "
+        "nearer than the trivial answer. Of 1 mean errors 0 are smaller than the trivial answer's, "
+        "and 0 than those of the simulated shift."
+    )
