@@ -18,6 +18,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from animarl_algos.benchmark.departures import (
+    DEPARTED,
+    DEPARTED_STEPS,
+    DEPARTURES,
+    PUBLISHED,
+    TOGETHER,
+    setting_of,
+)
 from animarl_algos.benchmark.matrix import Matrix, Plan, plan
 from animarl_algos.benchmark.pieces import Cell
 from animarl_algos.benchmark.scores import REALISM, score
@@ -40,9 +48,12 @@ PAPER_STEPS = 1_005_000
 ONSET: Final = "onset"
 JOINT: Final = "joint"
 ADAPTED: Final = "adapted"
-SETTINGS = (ONSET, JOINT, ADAPTED)
-"""The paper's world (its onset rule fits the locomotion), the world of the joint fit, and clones of
-the default preset that adapt online."""
+SETTINGS = (ONSET, JOINT, ADAPTED, DEPARTED)
+"""The paper's world (its onset rule fits the locomotion), the world of the joint fit, clones of the
+default preset that adapt online, and departures from published settings in the joint world."""
+SIMULATED = "dqdil-pt"
+"""The learner of Figures 2 and 3, which departs from its published settings."""
+ADAPTED_QUICK = (100,)
 QUICK: dict[str, Any] = {
     "steps": 400,
     "repetitions": 2,
@@ -101,6 +112,11 @@ class Scope:
             )
         )
 
+    @property
+    def departed_steps(self) -> int:
+        """Steps of the online phase of departures, and of the adapted clone beside them."""
+        return ADAPTED_QUICK[0] if self.quick else DEPARTED_STEPS
+
     @cached_property
     def cells(self) -> tuple[PaperCell, ...]:
         """All cells, one species after another."""
@@ -108,6 +124,10 @@ class Scope:
 
     def _cells_of(self, species: str) -> Iterator[PaperCell]:
         for setting in self.settings:
+            if setting == DEPARTED:
+                if SIMULATED in self.learners:
+                    yield from self._departed(species)
+                continue
             if setting != ADAPTED:
                 more = {} if setting == ONSET else {"fit_method": JOINT}
                 learners = self.learners_of(species)
@@ -115,7 +135,7 @@ class Scope:
                 yield from (PaperCell(setting, cell, planned, self.quick) for cell in planned.cells)
                 continue
             adapting = tuple(name for name in self.learners_of(species) if name in ADAPTING)
-            levels = (100,) if self.quick else ADAPTED_STEPS
+            levels = ADAPTED_QUICK if self.quick else ADAPTED_STEPS
             for learners, some in ((("soft-bc",), (0,)), (adapting, levels)):
                 if not learners:
                     continue
@@ -125,6 +145,15 @@ class Scope:
                     settings = cell.settings.changed(steps=steps or cell.settings.steps)
                     own = replace(cell, settings=settings)
                     yield PaperCell(f"{setting}-{steps}", own, planned, self.quick)
+
+    def _departed(self, species: str) -> Iterator[PaperCell]:
+        steps, around = self.departed_steps, {"preset": "paper", "fit_method": JOINT}
+        planned = self._plan(species, (SIMULATED,), steps, **around)
+        for name in (PUBLISHED, TOGETHER[-1]) if self.quick else DEPARTURES:
+            for cell in planned.cells:
+                assert cell.settings is not None
+                own = replace(cell, settings=DEPARTURES[name].changed(cell.settings))
+                yield PaperCell(setting_of(name), own, planned, self.quick)
 
     def _plan(
         self, species: str, learners: tuple[str, ...], steps: int | None, **more: Any
@@ -219,7 +248,8 @@ class Record:
         demos = one.demos
         test, factual = demos.select(split="test"), cell.rollouts(out)
         rollouts = [factual]
-        if cell.method in COUNTERFACTUAL and run.species.conditions:
+        departed = one.setting.startswith(DEPARTED)
+        if cell.method in COUNTERFACTUAL and run.species.conditions and not departed:
             rollouts.append(run.simulate(flag="flipped", repetitions=cell.repetitions))
         about = {
             "version": RECORD_VERSION,
@@ -231,7 +261,7 @@ class Record:
             "commit": run.record["machine"]["commit"],
             "processor_seconds": round(cell.cost(out)["processor_seconds"]),
         }
-        if one.setting.startswith(ADAPTED):
+        if departed or one.setting.startswith(ADAPTED):
             scored = score(factual, demos, resamples=SCORE_RESAMPLES)
             about |= {"verdict": scored.words, "realism": scored.by_measure[REALISM]["value"]}
         paths = {}

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from animarl_algos.benchmark.paper import JOINT, LEARNERS, ONSET, example_starts
-from animarl_algos.benchmark.paper_tables import REALISM, SIMULATED, Findings
+from animarl_algos.benchmark.departures import LOSSES, PUBLISHED, RATES, at_rate
+from animarl_algos.benchmark.paper import JOINT, LEARNERS, ONSET, SIMULATED, example_starts
+from animarl_algos.benchmark.paper_tables import DEFAULT, REALISM, Findings
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.report import style
@@ -205,6 +206,25 @@ def draw_adapted(findings: Findings) -> Figure:
                 label = style.method_label(learner)
                 panel.semilogx(rows["steps"], rows["value"], label=label, **looks)
             panel.xaxis.set_major_formatter("{x:,.0f}")  # SVG text has no superscripts
+    return figure
+
+
+def draw_departures(findings: Findings) -> Figure:
+    """Draw realism by the rate of pretraining, a line for each loss, between two presets."""
+    table = findings.departures[findings.departures["measure"] == REALISM]
+    colours = (style.BLUE, style.GREEN, style.VERMILION)
+    with style.figure_style():
+        figure, panels = panels_by_species(findings, xlabel="Rate of pretraining", ylabel="Realism")
+        for name, panel in panels:
+            own = table[table["species"] == name].set_index("departure")["value"]
+            for preset, dashes in ((PUBLISHED, (0, (1, 2))), (DEFAULT, (0, (5, 2)))):
+                if preset in own:
+                    panel.axhline(own[preset], **REFERENCE | {"linestyle": dashes}, label=preset)
+            for loss, colour in zip(LOSSES, colours):
+                values = [own.get(at_rate(loss, rate), np.nan) for rate in RATES]
+                if np.isfinite(values).any():
+                    panel.semilogx(RATES, values, "o-", color=colour.hex, label=loss)
+            panel.xaxis.set_major_formatter("{x:g}")  # SVG text has no superscripts
     return figure
 
 

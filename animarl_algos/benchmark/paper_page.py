@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from animarl_algos.benchmark.departures import DEPARTED, PUBLISHED, SINGLE, TOGETHER
 from animarl_algos.benchmark.paper import (
     ADAPTED,
     JOINT,
     LEARNERS,
     ONSET,
     PAPER_STEPS,
+    SIMULATED,
     PaperCell,
     Scope,
 )
@@ -24,6 +26,7 @@ from animarl_algos.benchmark.paper_figures import (
     PRETRAINED,
     compared_learners,
     draw_adapted,
+    draw_departures,
     draw_figure2,
     draw_figure3,
     draw_figure4,
@@ -32,9 +35,9 @@ from animarl_algos.benchmark.paper_figures import (
     save_svg,
 )
 from animarl_algos.benchmark.paper_tables import (
+    DEFAULT,
     REACHED,
     REALISM,
-    SIMULATED,
     TRUTH,
     Findings,
     published,
@@ -59,6 +62,7 @@ CAPTIONS = {
     "figure6": "Paths of one start under the given and the other cue, above the recording",
     "text-s1": "As Figure 5: agents without pretraining, silkmoths with it",
     "adapted": "Realism of adapted clones by steps online",
+    "departures": "Realism of DQDIL-PT by the rate of its pretraining",
 }
 
 
@@ -178,6 +182,31 @@ def adapted_page(findings: Findings) -> dict[str, str]:
     return {"adapted": markdown_table(head, texts(table, keys, columns)), "headline": sentence}
 
 
+def departures_page(findings: Findings) -> dict[str, str]:
+    """Return DQDIL-PT with published and with other settings, and which single one mends most."""
+    table, words = findings.departures, []
+    chosen = table[table["departure"].isin((*SINGLE, *TOGETHER, DEFAULT))]
+    realism = chosen[chosen["measure"] == REALISM]
+    groups: Any = realism.groupby("species", sort=False)
+    for name, own in groups:
+        by = own.set_index("departure")["value"]
+        singles = by[[one for one in SINGLE if one in by and one != PUBLISHED]]
+        if singles.empty or not {PUBLISHED, TOGETHER[-1], DEFAULT} <= set(by.index):
+            continue
+        words.append(
+            f"- {PLURALS[name]}: as published {number(by[PUBLISHED])}; the single departure that "
+            f"raises it most is '{singles.idxmax()}' ({number(singles.max())}); "
+            f"'{TOGETHER[-1]}' {number(by[TOGETHER[-1]])}; preset default {number(by[DEFAULT])}."
+        )
+    columns = {REACHED: False, DURATION.key: False, PATH_LENGTH.key: False, DTW.key: False}
+    keys = ["species", "departure", "seeds"]
+    head = [*keys, REACHED, "duration", "path length", "DTW distance", REALISM]
+    return {
+        "departures": markdown_table(head, texts(chosen, keys, columns | {REALISM: False})),
+        "departures_words": "\n".join(words),
+    }
+
+
 def scope_page(findings: Findings) -> str:
     """Return how many seeds of each cell there are."""
     total, lines = len(findings.scope.seeds), []
@@ -224,7 +253,7 @@ def estimate(left: Iterable[PaperCell]) -> float:
     for one in left:
         if one.quick:
             total += QUICK_SECONDS
-        elif one.setting.startswith(ADAPTED):
+        elif one.setting.startswith((ADAPTED, DEPARTED)):
             total += CLONE_SECONDS + ADAPTING_SECONDS * one.steps
         else:
             seconds = float(costs[one.cell.data, one.cell.method, "seconds"])
@@ -240,6 +269,7 @@ def write_page(findings: Findings, folder: Path) -> Path:
         "figure4": draw_figure4(findings, ONSET),
         "figure4-joint": draw_figure4(findings, JOINT),
         "adapted": draw_adapted(findings),
+        "departures": draw_departures(findings),
     }
     conditions = [get_species(name).conditions for name in PRETRAINED if name in findings.tests]
     if conditions:
@@ -249,6 +279,7 @@ def write_page(findings: Findings, folder: Path) -> Path:
     there = f"{len(findings.records) - len(left)} of {len(findings.records)} cells are there."
     rest = f" The same command makes the rest in about {estimate(left) / 3600:.1f} processor hours."
     words = table1_page(findings) | figure4_page(findings) | adapted_page(findings)
+    words |= departures_page(findings)
     words |= {
         "scope": scope_page(findings),
         "missing": there + (rest if left else ""),
@@ -267,7 +298,7 @@ def write_page(findings: Findings, folder: Path) -> Path:
     costs = pd.DataFrame([record.about for _, record, _ in findings.records if record])
     with all_files_or_none(folder / RESULTS) as part:
         costs.to_csv(part / "costs.csv", index=False)
-        for name in ("table1", "figure3", "figure4", "figure5", "adapted"):
+        for name in ("table1", "figure3", "figure4", "figure5", "adapted", "departures"):
             table = getattr(findings, name)
             table = table if table.empty else table.dropna(axis="columns", how="all")
             table.to_csv(part / f"{name}.csv", index=False, float_format="%.6g")

@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from animarl_algos.benchmark.departures import DEPARTURES, setting_of
 from animarl_algos.benchmark.paper import (
     ADAPTED,
     COUNTERFACTUAL,
     JOINT,
     LEARNERS,
     ONSET,
+    SIMULATED,
     PaperCell,
     Record,
     Scope,
@@ -44,7 +46,9 @@ from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.species import get_species
 
 EARLIER = "earlier.csv"
-TRUTH, SIMULATED, CLONE = "truth", "dqdil-pt", "soft-bc"
+TRUTH, CLONE = "truth", "soft-bc"
+DEFAULT = "preset default"
+"""DQDIL-PT as this project would train it, beside its departures from the published settings."""
 NO_WORLD = "–"
 REACHED, REALISM = "reached", "realism"
 SEED, RESAMPLES = 0, 1000
@@ -314,6 +318,27 @@ class Findings:
                 parts.append(measure(rollouts.select(own), test))
             acted.append(pd.concat(parts, ignore_index=True))
         return {(TRUTH, NO_WORLD): (acted[0], acted[1])}
+
+    @cached_property
+    def departures(self) -> pd.DataFrame:
+        """Return what DQDIL-PT does when some of its published settings are changed."""
+        rows = []
+        settings = {name: setting_of(name) for name in DEPARTURES}
+        settings[DEFAULT] = f"{ADAPTED}-{self.scope.departed_steps}"
+        for name, (departure, setting) in product(self.tests, settings.items()):
+            if not (made := self.of(name, setting, SIMULATED)):
+                continue
+            own, draws = self.rows(name, setting, SIMULATED), Draws.by(np.random.default_rng(SEED))
+            head: dict[str, Any] = {"species": name, "departure": departure, "seeds": len(made)}
+            intervals = {
+                REACHED: bootstrap_mean(self.gather(own, name, "captured"), draws, share=True),
+                DURATION.key: kde_interval(own, self.recorded[name], DURATION.key),
+                PATH_LENGTH.key: kde_interval(own, self.recorded[name], PATH_LENGTH.key),
+                DTW.key: bootstrap_mean(self.gather(own, name, DTW.key), draws),
+                REALISM: Interval(float(np.mean([one.about["realism"] for one in made]))),
+            }
+            rows += [row_of(value, **head, measure=key) for key, value in intervals.items()]
+        return pd.DataFrame(rows, columns=["departure", *COLUMNS])
 
     @cached_property
     def adapted(self) -> pd.DataFrame:

@@ -23,7 +23,8 @@ KEPT = Path("docs") / RESULTS
     "benchmark'.",
     species=f"Only these: {', '.join(SPECIES)}; repeatable.",
     only=f"Only these learners: {', '.join(LEARNERS)}; repeatable.",
-    setting=f"Only these: {', '.join(SETTINGS)} (two worlds, clones that adapt); repeatable.",
+    setting=f"Only these: {', '.join(SETTINGS)} (two worlds, clones that adapt, "
+    "departures from published settings); repeatable.",
     seed="Training seeds; repeatable; default 0, 1, 2.",
     steps="Steps of the online phase in both worlds; by default the paper's.",
     processes="Number of processes, one thread each.",

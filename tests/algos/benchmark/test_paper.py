@@ -10,13 +10,24 @@ from commands import animarl
 from refusals import refuses
 from scipy import stats
 
+from animarl_algos.benchmark.departures import (
+    CROSS_ENTROPY,
+    DEPARTURES,
+    DISTANCE,
+    PUBLISHED,
+    RATES,
+    SINGLE,
+    TOGETHER,
+    at_rate,
+    setting_of,
+)
 from animarl_algos.benchmark.paper import LEARNERS, Record, Scope
 from animarl_algos.benchmark.paper_figures import PRETRAINED, compared_learners
-from animarl_algos.benchmark.paper_tables import kde_distance, kde_interval, published
+from animarl_algos.benchmark.paper_tables import DEFAULT, kde_distance, kde_interval, published
 from animarl_envs.demos.packaged import load_packaged
 
 TRY = ["--quick", "--species", "silkmoth", "--only", "bc", "--only", "dqdil", "--setting", "onset"]
-TABLES = {"table1", "figure3", "figure4", "figure5", "adapted", "costs"}
+TABLES = {"table1", "figure3", "figure4", "figure5", "adapted", "departures", "costs"}
 FIGURES = {"figure2", "figure3", "figure4", "figure4-joint", "figure5", "figure6", "text-s1"}
 
 
@@ -35,7 +46,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_paper_makes_every_table_and_figure_and_none_twice(first: Path) -> None:
     made = contents(first)
     expected = {f"{name}.csv" for name in TABLES} | {f"{name}.svg" for name in FIGURES}
-    assert expected | {"paper.md", "adapted.svg"} == set(made)
+    assert expected | {"paper.md", "adapted.svg", "departures.svg"} == set(made)
     assert max(map(len, made.values())) < 200_000
     page = made["paper.md"].decode()
     assert "not made" not in page and "$" not in page and "nan" not in page
@@ -56,6 +67,45 @@ def test_numbers_of_the_paper_page_are_rows_of_its_tables(first: Path) -> None:
     assert fits["onset"] > 1.5 * fits["true"]
     flips = pd.read_csv(folder / "figure5.csv")
     assert {"1 → 2", "2 → 1"} <= set(flips[flips["learner"] == "dqdil"]["measure"])
+
+
+def test_departures_stand_beside_the_published_settings_and_the_default(tmp_path: Path) -> None:
+    words = ["--only", "dqdil-pt", "--setting", "departed", "--setting", "adapted"]
+    animarl("paper", "--quick", "--species", "silkmoth", *words, "--out", tmp_path)
+    page = (tmp_path / "paper.md").read_text()
+    table = pd.read_csv(tmp_path / "results" / "paper" / "departures.csv")
+    assert set(table["departure"]) == {PUBLISHED, TOGETHER[-1], DEFAULT}
+    measures = {"reached", "duration", "path_length", "dtw", "realism"}
+    assert set(table["measure"]) == measures and len(table) == 15
+    rows = [line for line in page.splitlines() if line.startswith("| silkmoths | ")]
+    for departure, own in table[table["measure"] == "realism"].groupby("departure"):
+        line = next(one for one in rows if f"| {departure} | 1 |" in one)
+        shown = float(line.strip("| ").rpartition("| ")[2])
+        assert shown == pytest.approx(own["value"].item(), rel=0.01)
+
+
+def test_a_departure_changes_what_its_name_says_and_nothing_else() -> None:
+    scope = Scope(species=("silkmoth",), learners=("dqdil-pt",), settings=("departed",), seeds=(0,))
+    settings = {one.setting: one.cell.settings for one in scope.cells}
+    assert len(settings) == len(DEPARTURES)
+    learners = {name: settings[setting_of(name)].learner().settings for name in DEPARTURES}
+    changes = {
+        name: {key for key in vars(own) if getattr(own, key) != getattr(learners[PUBLISHED], key)}
+        for name, own in learners.items()
+    }
+    assert changes[PUBLISHED] == set() and changes["300 epochs"] == {"offline_epochs"}
+    assert changes[TOGETHER[-1]] == {"offline_loss", "offline_learning_rate"}
+    assert settings[setting_of(TOGETHER[-1])].acting == "chosen"
+    labels = settings[setting_of(CROSS_ENTROPY)].learner().env_kwargs
+    assert labels["labels"] == "tracking" and labels["observation"] == "paper"
+    for rate in RATES:
+        assert learners[at_rate(DISTANCE, rate)].offline_learning_rate == rate
+    pairs = ("penalties in units of their mean", "epsilon 0.05 online")
+    assert all(
+        len(changes[name]) == (2 if name in pairs else 1)
+        for name in SINGLE[1:8]
+        if name != "reward by closeness"
+    )
 
 
 def test_a_kept_paper_record_stands_for_its_cell(first: Path, tmp_path: Path) -> None:
