@@ -18,7 +18,7 @@ from animarl_envs import environment_id
 DEPARTED: Final = "departed"
 DEPARTED_STEPS = 20_000
 RATES = (1e-5, 1e-4, 1e-3, 1e-2)
-MENDED_RATE = 1e-3
+LARGE_RATES = RATES[2:]
 PUBLISHED: Final = "as published"
 CROSS_ENTROPY: Final = "cross-entropy of labels"
 DISTANCE: Final = "distances of actions"
@@ -77,11 +77,12 @@ DEPARTURES: dict[str, Departure] = {
     for rate in RATES
 }
 """By what the page calls them."""
-SINGLE = tuple(name for name in DEPARTURES if ", rate" not in name) + (
-    at_rate(DISTANCE, MENDED_RATE),
+SINGLE = (
+    *(name for name in DEPARTURES if ", rate" not in name),
+    *(at_rate(DISTANCE, rate) for rate in LARGE_RATES),
 )
 """Published settings and single departures from them."""
-TOGETHER = tuple(at_rate(loss, MENDED_RATE) for loss in LOSSES if loss != DISTANCE)
+TOGETHER = tuple(at_rate(loss, rate) for loss in LOSSES if loss != DISTANCE for rate in LARGE_RATES)
 """Departures of two and of three settings."""
 
 

@@ -154,9 +154,12 @@ def draw_figure6(findings: Findings) -> Figure:
 
 
 def panels_by_species(
-    findings: Findings, **labels: str
+    findings: Findings, legend: Mapping[str, Any] | None = None, **labels: str
 ) -> tuple[Figure, Iterator[tuple[str, Any]]]:
-    """Return a figure of one row, and its species with their panels; a legend ends each."""
+    """Return a figure of one row, and its species with their panels; a legend ends each.
+
+    Where its place is given, the last panel alone has it.
+    """
     figure, panels = style.new_figure(
         PANEL[0] * len(findings.tests), PANEL[1], 1, len(findings.tests)
     )
@@ -165,8 +168,9 @@ def panels_by_species(
         for name, panel in zip(findings.tests, np.atleast_1d(panels)):
             yield name, panel
             panel.set(title=PLURALS[name], **labels)
-            if panel.get_legend_handles_labels()[0]:
-                panel.legend(fontsize=7)
+            wanted = legend is None or name == [*findings.tests][-1]
+            if wanted and panel.get_legend_handles_labels()[0]:
+                panel.legend(fontsize=7, **(legend or {}))
 
     return figure, each()
 
@@ -214,7 +218,9 @@ def draw_departures(findings: Findings) -> Figure:
     table = findings.departures[findings.departures["measure"] == REALISM]
     colours = (style.BLUE, style.GREEN, style.VERMILION)
     with style.figure_style():
-        figure, panels = panels_by_species(findings, xlabel="Rate of pretraining", ylabel="Realism")
+        beside = {"loc": "center left", "bbox_to_anchor": (1.02, 0.5)}
+        labels = {"xlabel": "Rate of pretraining", "ylabel": "Realism"}
+        figure, panels = panels_by_species(findings, beside, **labels)
         for name, panel in panels:
             own = table[table["species"] == name].set_index("departure")["value"]
             for preset, dashes in ((PUBLISHED, (0, (1, 2))), (DEFAULT, (0, (5, 2)))):
