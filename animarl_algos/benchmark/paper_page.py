@@ -185,7 +185,7 @@ def adapted_page(findings: Findings) -> dict[str, str]:
 
 def departures_page(findings: Findings) -> dict[str, str]:
     """Return DQDIL-PT with published and with other settings, and which single one mends most."""
-    table, words = findings.departures, []
+    table, words, shares = findings.departures, [], list[list[float]]()
     chosen = table[table["departure"].isin((*SINGLE, *TOGETHER, DEFAULT))]
     realism = chosen[chosen["measure"] == REALISM]
     groups: Any = realism.groupby("species", sort=False)
@@ -194,16 +194,30 @@ def departures_page(findings: Findings) -> dict[str, str]:
         there = [by[by.index.isin(some)] for some in (SINGLE[1:], TOGETHER)]
         if min(map(len, there)) == 0 or not {PUBLISHED, DEFAULT} <= set(by.index):
             continue
-        best = [f"'{some.idxmax()}' {number(some.max())}" for some in there]
+        gap = by[DEFAULT] - by[PUBLISHED]
+        shares.append([(some.max() - by[PUBLISHED]) / gap for some in there])
+        best = [
+            f"'{some.idxmax()}' ({number(some.max())}) {share:.0%}"
+            for some, share in zip(there, shares[-1])
+        ]
         words.append(
-            f"- {PLURALS[name]}: as published {number(by[PUBLISHED])}; the best single departure "
-            f"{best[0]}; the best of several {best[1]}; preset default {number(by[DEFAULT])}."
+            f"- {PLURALS[name]}: of the gap from published settings ({number(by[PUBLISHED])}) to "
+            f"preset default ({number(by[DEFAULT])}), {best[0]}, {best[1]}."
+        )
+    lead = ""
+    if shares:
+        single, several = zip(*shares)
+        lead = (
+            f"**A single departure closes {min(single):.0%} to {max(single):.0%} of the gap in "
+            f"realism between published settings and preset `default`, the best of two or three "
+            f"{min(several):.0%} to {max(several):.0%}.**"
         )
     columns = {REACHED: False, DURATION.key: False, PATH_LENGTH.key: False, DTW.key: False}
     keys = ["species", "departure", "seeds"]
     head = [*keys, REACHED, "duration", "path length", "DTW distance", REALISM]
     return {
         "departures": markdown_table(head, texts(chosen, keys, columns | {REALISM: False})),
+        "departures_lead": lead,
         "departures_words": "\n".join(words),
     }
 

@@ -2,6 +2,8 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -23,7 +25,14 @@ from animarl_algos.benchmark.departures import (
 )
 from animarl_algos.benchmark.paper import LEARNERS, Record, Scope
 from animarl_algos.benchmark.paper_figures import PRETRAINED, compared_learners
-from animarl_algos.benchmark.paper_tables import DEFAULT, kde_distance, kde_interval, published
+from animarl_algos.benchmark.paper_page import departures_page
+from animarl_algos.benchmark.paper_tables import (
+    DEFAULT,
+    Findings,
+    kde_distance,
+    kde_interval,
+    published,
+)
 from animarl_envs.demos.packaged import load_packaged
 
 TRY = ["--quick", "--species", "silkmoth", "--only", "bc", "--only", "dqdil", "--setting", "onset"]
@@ -82,6 +91,20 @@ def test_departures_stand_beside_the_published_settings_and_the_default(tmp_path
         line = next(one for one in rows if f"| {departure} | 1 |" in one)
         shown = float(line.strip("| ").rpartition("| ")[2])
         assert shown == pytest.approx(own["value"].item(), rel=0.01)
+
+
+def test_shares_of_the_gap_that_departures_close() -> None:
+    values = {PUBLISHED: 0.1, SINGLE[1]: 0.2, SINGLE[2]: 0.05, TOGETHER[0]: 0.24, DEFAULT: 0.3}
+    table = pd.DataFrame({"departure": list(values), "value": list(values.values())})
+    table = table.assign(species="fly", seeds=1, measure="realism", low=np.nan, high=np.nan)
+    words = departures_page(cast(Findings, SimpleNamespace(departures=table)))
+    assert "closes 50% to 50% of the gap" in words["departures_lead"]
+    assert "two or three 70% to 70%" in words["departures_lead"]
+    assert f"'{SINGLE[1]}' (0.200) 50%, '{TOGETHER[0]}' (0.240) 70%" in words["departures_words"]
+    fewer = table[table["departure"] != DEFAULT]  # no gap without both of its ends
+    assert (
+        departures_page(cast(Findings, SimpleNamespace(departures=fewer)))["departures_lead"] == ""
+    )
 
 
 def test_a_departure_changes_what_its_name_says_and_nothing_else() -> None:
