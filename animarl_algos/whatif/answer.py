@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -438,21 +439,24 @@ class _Comparison:
         options = scenario.options(self.species, self.unit, thrusts)
         return self._rows(scenario, self._simulate(scenario, options, self.reading)[0], None)
 
+    @cached_property
+    def _learned(self) -> tuple[Demonstrations, Rollouts]:
+        """Return recordings that were learned from, and the unchanged world from their starts."""
+        known = learnable(self.runs[0].demos)
+        return known, self._simulate(ChangedWorld(()), {}, self.reading, 1, known)[0]
+
     def _learned_from(self, scenario: ChangedWorld) -> dict[str, dict[str, float]]:
         """Return by quantity what recordings show of a condition that were learned from.
 
         How they differ by it, and how far that is above what is simulated from their starts.
         """
-        known = learnable(self.runs[0].demos)
+        known, before = self._learned
         recorded = Rollouts.from_demonstrations(known)
         treated = known.condition == self.species.conditions.index(str(scenario.condition))
         condition_alone = replace(
             scenario, changes=tuple(one for one in scenario.changes if one.what == CONDITION)
         )
-        before, after = (
-            self._simulate(world, {}, self.reading, 1, known)[0]
-            for world in (ChangedWorld(()), condition_alone)
-        )
+        after = self._simulate(condition_alone, {}, self.reading, 1, known)[0]
         measured = measured_quantities(known, self.unit, self.keys, self.smoothing)
         statistics = {}
         for quantity in (*quantities_of(recorded, self.unit), *(measured if self.keys else ())):

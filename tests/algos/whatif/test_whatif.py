@@ -646,6 +646,10 @@ def test_where_two_simulators_disagree_the_recordings_cannot_tell(chase: Run) ->
     assert cue.loc["reached", "trained_shift"] == pytest.approx(reached[0] - reached[1])
     assert np.allclose(cue["calibrated"], cue["shift"] + cue["trained_miss"])
     assert (arena["calibrated"] == arena["shift"]).all()
+    # A question has one answer, alone or after another.
+    both = ask([chase], ["condition=individual", "condition=shared"], separately=True)
+    again = both.answers[1].table.set_index("quantity")
+    assert again["trained_miss"].equals(cue["trained_miss"])
 
 
 def test_intervals_of_several_answers_hold_together() -> None:
