@@ -52,7 +52,7 @@ from animarl_envs.files import all_files_or_none
 from animarl_envs.species import get_species
 
 RESULTS = Path("results") / "paper"
-QUICK_SECONDS, DEPARTED_SECONDS, CLONE_SECONDS = 8.0, 20.0, 120.0  # of a cell
+QUICK_SECONDS, DEPARTED_SECONDS, CLONE_SECONDS = 2.0, 20.0, 120.0  # of a cell
 ADAPTING_SECONDS = 2e-3  # of a step
 CAPTIONS = {
     "figure2": "Simulated paths above recorded ones",
