@@ -57,7 +57,7 @@ def at_rate(loss: str, rate: float) -> str:
     return f"{loss}, rate {rate:g}"
 
 
-DEPARTURES: dict[str, Departure] = {
+ALONE = {
     PUBLISHED: Departure(),
     CROSS_ENTROPY: LOSSES[CROSS_ENTROPY],
     "300 epochs": Departure({"offline_epochs": 300}),
@@ -71,16 +71,14 @@ DEPARTURES: dict[str, Departure] = {
     ),
     "reward by closeness": Departure({"env_kwargs": {"dtw": "closeness"}}),
     "chosen acting": Departure(acting=CHOSEN),
-} | {
+}
+DEPARTURES = ALONE | {
     at_rate(loss, rate): Departure({"offline_learning_rate": rate}, own.labelled, own.acting)
     for loss, own in LOSSES.items()
     for rate in RATES
 }
 """By what the page calls them."""
-SINGLE = (
-    *(name for name in DEPARTURES if ", rate" not in name),
-    *(at_rate(DISTANCE, rate) for rate in LARGE_RATES),
-)
+SINGLE = (*ALONE, *(at_rate(DISTANCE, rate) for rate in LARGE_RATES))
 """Published settings and single departures from them."""
 TOGETHER = tuple(at_rate(loss, rate) for loss in LOSSES if loss != DISTANCE for rate in LARGE_RATES)
 """Departures of two and of three settings."""

@@ -230,7 +230,8 @@ class Record:
     speeds
         ``(bins,)`` counts of the speeds of all individuals, as :func:`count_speeds`.
     paths
-        ``(frames, individuals, 2)`` of one rollout per condition and cue, by ``"condition-cue"``.
+        ``(frames, individuals, 2)`` of one rollout per condition and cue, by ``"condition-cue"``,
+        in the two worlds alone, whose paths are drawn.
     """
 
     about: dict[str, Any]
@@ -265,7 +266,7 @@ class Record:
             scored = score(factual, demos, resamples=SCORE_RESAMPLES)
             about |= {"verdict": scored.words, "realism": scored.by_measure[REALISM]["value"]}
         paths = {}
-        for made in rollouts:
+        for made in rollouts if one.setting in (ONSET, JOINT) else ():
             for condition, start in example_starts(test).items():
                 example = int(np.flatnonzero((made.demo == start) & (made.repetition == 0))[0])
                 paths[f"{condition}-{made.cue[example]}"] = made.path(example)

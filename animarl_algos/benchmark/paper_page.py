@@ -45,8 +45,10 @@ from animarl_algos.benchmark.paper_tables import (
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import number, with_interval
+from animarl_envs import environment_id
 from animarl_envs.drawing import markdown_table
 from animarl_envs.files import all_files_or_none
 from animarl_envs.species import get_species
@@ -183,8 +185,21 @@ def adapted_page(findings: Findings) -> dict[str, str]:
     return {"adapted": markdown_table(head, texts(table, keys, columns)), "headline": sentence}
 
 
+def pretraining_words(findings: Findings) -> str:
+    """Return how many updates published pretraining makes, and how far they move a weight."""
+    words = []
+    for name, demos in {one.cell.data: one.demos for one, _, _ in findings.records}.items():
+        settings = learner_preset(SIMULATED, environment_id(name), "paper").settings
+        batches = -(-int((demos.split == "train").sum()) // settings.offline_batch_size)
+        updates, rate = batches * settings.offline_epochs, settings.offline_learning_rate
+        words.append(
+            f"{updates} updates at {rate:g} of {PLURALS[name]}, by {number(updates * rate)} at most"
+        )
+    return "; ".join(words)
+
+
 def departures_page(findings: Findings) -> dict[str, str]:
-    """Return DQDIL-PT with published and with other settings, and which single one mends most."""
+    """Return DQDIL-PT with published and with other settings, and how much that helps."""
     table, words, shares = findings.departures, [], list[list[float]]()
     chosen = table[table["departure"].isin((*SINGLE, *TOGETHER, DEFAULT))]
     realism = chosen[chosen["measure"] == REALISM]
@@ -299,6 +314,7 @@ def write_page(findings: Findings, folder: Path) -> Path:
     words |= departures_page(findings)
     words |= {
         "scope": scope_page(findings),
+        "pretraining": pretraining_words(findings),
         "missing": there + (rest if left else ""),
         "figure5": figure5_page(findings, True),
         "text_s1": figure5_page(findings, False),

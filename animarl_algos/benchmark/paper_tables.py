@@ -319,6 +319,17 @@ class Findings:
             acted.append(pd.concat(parts, ignore_index=True))
         return {(TRUTH, NO_WORLD): (acted[0], acted[1])}
 
+    def _likeness(
+        self, species: str, rows: pd.DataFrame, made: Sequence[Record]
+    ) -> dict[str, Interval]:
+        """Return realism, share reached and DTW distance of the rollouts of some records."""
+        draws = Draws.by(np.random.default_rng(SEED))
+        return {
+            REALISM: Interval(float(np.mean([one.about["realism"] for one in made]))),
+            REACHED: bootstrap_mean(self.gather(rows, species, "captured"), draws, share=True),
+            DTW.key: bootstrap_mean(self.gather(rows, species, DTW.key), draws),
+        }
+
     @cached_property
     def departures(self) -> pd.DataFrame:
         """Return what DQDIL-PT does when some of its published settings are changed."""
@@ -328,14 +339,11 @@ class Findings:
         for name, (departure, setting) in product(self.tests, settings.items()):
             if not (made := self.of(name, setting, SIMULATED)):
                 continue
-            own, draws = self.rows(name, setting, SIMULATED), Draws.by(np.random.default_rng(SEED))
+            own = self.rows(name, setting, SIMULATED)
             head: dict[str, Any] = {"species": name, "departure": departure, "seeds": len(made)}
-            intervals = {
-                REACHED: bootstrap_mean(self.gather(own, name, "captured"), draws, share=True),
-                DURATION.key: kde_interval(own, self.recorded[name], DURATION.key),
-                PATH_LENGTH.key: kde_interval(own, self.recorded[name], PATH_LENGTH.key),
-                DTW.key: bootstrap_mean(self.gather(own, name, DTW.key), draws),
-                REALISM: Interval(float(np.mean([one.about["realism"] for one in made]))),
+            intervals = self._likeness(name, own, made) | {
+                key: kde_interval(own, self.recorded[name], key)
+                for key in (DURATION.key, PATH_LENGTH.key)
             }
             rows += [row_of(value, **head, measure=key) for key, value in intervals.items()]
         return pd.DataFrame(rows, columns=["departure", *COLUMNS])
@@ -348,15 +356,10 @@ class Findings:
         for name, setting, learner in product(self.tests, settings, (CLONE, *LEARNERS)):
             if not (made := self.of(name, setting, learner)):
                 continue
-            own, draws = self.rows(name, setting, learner), Draws.by(np.random.default_rng(SEED))
+            own = self.rows(name, setting, learner)
             head: dict[str, Any] = {"species": name, "learner": learner, "seeds": len(made)}
             head["steps"] = int(setting.partition("-")[2])
             head["verdict"] = "; ".join(dict.fromkeys(one.about["verdict"] for one in made))
-            captured = self.gather(own, name, "captured")
-            intervals = {
-                REALISM: Interval(float(np.mean([one.about["realism"] for one in made]))),
-                REACHED: bootstrap_mean(captured, draws, share=True),
-                DTW.key: bootstrap_mean(self.gather(own, name, DTW.key), draws),
-            }
+            intervals = self._likeness(name, own, made)
             rows += [row_of(value, **head, measure=key) for key, value in intervals.items()]
         return pd.DataFrame(rows, columns=COLUMNS)
