@@ -243,14 +243,14 @@ class Record:
     def of(cls, one: PaperCell, out: Path) -> Record:
         """Return the record of a finished cell.
 
-        Learners of Figure 5 are also simulated with the other cue, in an unchanged world.
+        In the two worlds, learners of Figure 5 are also simulated with the other cue.
         """
         cell, run = one.cell, Run(one.cell.folder(out) / "run")
         demos = one.demos
         test, factual = demos.select(split="test"), cell.rollouts(out)
         rollouts = [factual]
-        departed = one.setting.startswith(DEPARTED)
-        if cell.method in COUNTERFACTUAL and run.species.conditions and not departed:
+        drawn = one.setting in (ONSET, JOINT)
+        if cell.method in COUNTERFACTUAL and run.species.conditions and drawn:
             rollouts.append(run.simulate(flag="flipped", repetitions=cell.repetitions))
         about = {
             "version": RECORD_VERSION,
@@ -262,11 +262,11 @@ class Record:
             "commit": run.record["machine"]["commit"],
             "processor_seconds": round(cell.cost(out)["processor_seconds"]),
         }
-        if departed or one.setting.startswith(ADAPTED):
+        if not drawn:
             scored = score(factual, demos, resamples=SCORE_RESAMPLES)
             about |= {"verdict": scored.words, "realism": scored.by_measure[REALISM]["value"]}
         paths = {}
-        for made in rollouts if one.setting in (ONSET, JOINT) else ():
+        for made in rollouts if drawn else ():
             for condition, start in example_starts(test).items():
                 example = int(np.flatnonzero((made.demo == start) & (made.repetition == 0))[0])
                 paths[f"{condition}-{made.cue[example]}"] = made.path(example)

@@ -36,6 +36,7 @@ from animarl_algos.benchmark.paper_figures import (
 )
 from animarl_algos.benchmark.paper_tables import (
     DEFAULT,
+    GAIN,
     REACHED,
     REALISM,
     TRUTH,
@@ -161,41 +162,59 @@ def figure5_page(findings: Findings, main: bool) -> str:
 
 
 def adapted_page(findings: Findings) -> dict[str, str]:
-    """Return the table of adapted clones, and whether adapting helps, in one sentence."""
-    keys = ["species", "learner", "steps", "seeds", "verdict"]
-    columns = {REALISM: False, REACHED: False, DTW.key: False}
+    """Return the table of adapted clones, verdicts by seed, and whether adapting helps."""
+    keys = ["species", "learner", "steps", "seeds"]
+    columns = {REALISM: False, GAIN: False, REACHED: False, DTW.key: False}
     table, words = findings.adapted, []
-    groups: Any = table[table["measure"] == REALISM].groupby("species", sort=False)
+    groups: Any = table[table["measure"] == GAIN].groupby("species", sort=False)
     for name, own in groups:
-        clone, later = own[own["steps"] == 0]["value"].mean(), own[own["steps"] > 0]
-        if later.empty or not np.isfinite(clone):
-            continue
-        real = later["value"]
+        best = own.loc[own["value"].idxmax()]
         words.append(
-            f"of {PLURALS[name]}, {(real > clone).sum()} of {len(real)} adapted clones are more "
-            f"real than the clone ({number(clone)}, adapted {number(real.min())} to "
-            f"{number(real.max())})"
+            f"of {PLURALS[name]} {(own['low'] > 0).sum()} of {len(own)} adapted clones are clearly "
+            f"more real than the clone of their seed, {(own['high'] < 0).sum()} clearly less "
+            f"(largest gain {value_of(best)})"
         )
     sentence = "Whether adapting online helps is open here: none of its cells is finished."
     if words:
         sentence = f"Does adapting online help? By realism, {'; '.join(words)}."
         if table["seeds"].min() < len(Scope().seeds):
             sentence += " Some have one or two training seeds, which leaves that open."
-    head = [*keys, REALISM, REACHED, "DTW distance"]
-    return {"adapted": markdown_table(head, texts(table, keys, columns)), "headline": sentence}
+    verdicts, seeds = [], findings.scope.seeds
+    rows: Any = table.drop_duplicates(keys)[keys]
+    for name, learner, steps, _ in rows.itertuples(index=False):
+        made = findings.of(name, f"{ADAPTED}-{steps}", learner)
+        words_by_seed = {one.about["seed"]: one.about["verdict"] for one in made}
+        line = [PLURALS[name], method_label(learner), f"{steps:,}"]
+        verdicts.append([*line, *(words_by_seed.get(seed, "") for seed in seeds)])
+    head = [*keys, REALISM, "above the clone", REACHED, "DTW distance"]
+    return {
+        "adapted": markdown_table(head, texts(table, keys, columns)),
+        "verdicts": markdown_table([*keys[:3], *(f"seed {seed}" for seed in seeds)], verdicts),
+        "headline": sentence,
+    }
 
 
-def pretraining_words(findings: Findings) -> str:
-    """Return how many updates published pretraining makes, and how far they move a weight."""
-    words = []
+def updates_page(findings: Findings) -> str:
+    """Return how many updates the published settings make, and how far they move a weight."""
+    lines = []
     for name, demos in {one.cell.data: one.demos for one, _, _ in findings.records}.items():
-        settings = learner_preset(SIMULATED, environment_id(name), "paper").settings
-        batches = -(-int((demos.split == "train").sum()) // settings.offline_batch_size)
-        updates, rate = batches * settings.offline_epochs, settings.offline_learning_rate
-        words.append(
-            f"{updates} updates at {rate:g} of {PLURALS[name]}, by {number(updates * rate)} at most"
+        alone, after = (
+            learner_preset(learner, environment_id(name), "paper").settings
+            for learner in (SIMULATED.removesuffix("-pt"), SIMULATED)
         )
-    return "; ".join(words)
+        batches = -(-int((demos.split == "train").sum()) // after.offline_batch_size)
+        offline, online = (
+            batches * after.offline_epochs,
+            PAPER_STEPS // get_species(name).time_limit,
+        )
+        moves = (
+            (offline, after.offline_learning_rate),
+            (online, alone.learning_rate),
+            (online, after.learning_rate),
+        )
+        lines.append([PLURALS[name], *(f"{n:,} × {rate:g} = {n * rate:.2g}" for n, rate in moves)])
+    head = ("species", "pretraining", "online, without pretraining", "online, after pretraining")
+    return markdown_table(head, lines)
 
 
 def departures_page(findings: Findings) -> dict[str, str]:
@@ -263,18 +282,20 @@ def scope_page(findings: Findings) -> str:
 
 
 def cells_page(findings: Findings) -> str:
-    """Return where every record comes from; seconds of those made here are in ``costs.csv``."""
-    rows = [record.about | {"kept": kept} for _, record, kept in findings.records if record]
-    keys = ["species", "learner", "setting", "steps", "commit", "kept"]
+    """Return which commits made how many cells; ``costs.csv`` has a row for each of them."""
     lines = []
-    groups: Any = pd.DataFrame(rows, columns=[*keys, "seed", "processor_seconds"]).groupby(
-        keys, sort=False
-    )
-    for (name, learner, setting, steps, commit, kept), own in groups:
-        seeds, seconds = (", ".join(map(str, own[key])) for key in ("seed", "processor_seconds"))
-        line = [PLURALS[name], method_label(learner), setting, f"{steps:,}", commit[:7]]
-        lines.append([*line, seeds, seconds if kept else "`costs.csv`"])
-    return markdown_table([*keys[:5], "seeds", "processor seconds"], lines)
+    of_kind: Any = pd.DataFrame(
+        [
+            (PLURALS[one.cell.data], one.setting.partition("-")[0], record.about["commit"][:7])
+            for one, record, _ in findings.records
+            if record is not None
+        ],
+        columns=["species", "setting", "commit"],
+    ).groupby(["species", "setting"], sort=False)
+    for kind, own in of_kind:
+        commits = own["commit"].value_counts(sort=False).items()
+        lines.append([*kind, ", ".join(f"{commit} ({count})" for commit, count in commits)])
+    return markdown_table(["species", "setting", "commits (cells)"], lines)
 
 
 def estimate(left: Iterable[PaperCell]) -> float:
@@ -314,7 +335,7 @@ def write_page(findings: Findings, folder: Path) -> Path:
     words |= departures_page(findings)
     words |= {
         "scope": scope_page(findings),
-        "pretraining": pretraining_words(findings),
+        "updates": updates_page(findings),
         "missing": there + (rest if left else ""),
         "figure5": figure5_page(findings, True),
         "text_s1": figure5_page(findings, False),

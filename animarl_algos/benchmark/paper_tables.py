@@ -35,6 +35,7 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_difference,
     bootstrap_mean,
     cells,
+    mean_over_seeds,
     percentile_interval,
     row_of,
 )
@@ -50,7 +51,7 @@ TRUTH, CLONE = "truth", "soft-bc"
 DEFAULT = "preset default"
 """DQDIL-PT as this project would train it, beside its departures from the published settings."""
 NO_WORLD = "–"
-REACHED, REALISM = "reached", "realism"
+REACHED, REALISM, GAIN = "reached", "realism", "realism above the clone"
 SEED, RESAMPLES = 0, 1000
 DENSITY_POINTS, DENSITY_MARGIN = 512, 4.0  # of a grid, which reaches so many bandwidths further
 NARROWEST = 0.01  # no bandwidth is smaller than this share of the pooled range
@@ -325,7 +326,7 @@ class Findings:
         """Return realism, share reached and DTW distance of the rollouts of some records."""
         draws = Draws.by(np.random.default_rng(SEED))
         return {
-            REALISM: Interval(float(np.mean([one.about["realism"] for one in made]))),
+            REALISM: mean_over_seeds(np.array([one.about["realism"] for one in made])),
             REACHED: bootstrap_mean(self.gather(rows, species, "captured"), draws, share=True),
             DTW.key: bootstrap_mean(self.gather(rows, species, DTW.key), draws),
         }
@@ -350,7 +351,10 @@ class Findings:
 
     @cached_property
     def adapted(self) -> pd.DataFrame:
-        """Return realism, verdict, share reached and DTW distance of clones by steps online."""
+        """Return realism, verdict, share reached and DTW distance of clones by steps online.
+
+        The gain is in realism, over the clone of the same training seed.
+        """
         rows = []
         settings = [s for s in dict.fromkeys(r[0].setting for r in self.records) if ADAPTED in s]
         for name, setting, learner in product(self.tests, settings, (CLONE, *LEARNERS)):
@@ -361,5 +365,11 @@ class Findings:
             head["steps"] = int(setting.partition("-")[2])
             head["verdict"] = "; ".join(dict.fromkeys(one.about["verdict"] for one in made))
             intervals = self._likeness(name, own, made)
+            clones = self.of(name, f"{ADAPTED}-0", CLONE)
+            before = {one.about["seed"]: one.about["realism"] for one in clones}
+            pairs = [(one.about["realism"], before.get(one.about["seed"])) for one in made]
+            gains = [later - clone for later, clone in pairs if clone is not None]
+            if head["steps"] and gains:
+                intervals[GAIN] = mean_over_seeds(np.array(gains))
             rows += [row_of(value, **head, measure=key) for key, value in intervals.items()]
         return pd.DataFrame(rows, columns=COLUMNS)

@@ -35,6 +35,7 @@ TEXT_COLUMNS = {"reason", "gate", "unit", "covers", "verdict"}
 
 NO_VALUE = "no episode counts"
 ONE_DEMO = "one demonstration: no spread to be seen"
+ONE_SEED = "one training seed: no spread to be seen"
 NOTHING_SHARED = "no shared start"
 FEW_ROLLOUTS = "fewer than two rollouts a start"
 
@@ -303,6 +304,15 @@ def bootstrap_mean(
         return Interval(mean, max(mean - below, 0.0), min(mean + above, 1.0))
     below, above = margins([deviations], Draws.by(rng, resamples)).tolist()
     return Interval(mean, mean - below, mean + above)
+
+
+def mean_over_seeds(values: Floats) -> Interval:
+    """Mean of one value per training seed, ``(seeds,)``, with Student's t interval."""
+    mean = float(values.mean())
+    if len(values) < 2:
+        return Interval(mean, reason=ONE_SEED)
+    margin = math.sqrt(seed_square([values[:, None]]))
+    return Interval(mean, mean - margin, mean + margin)
 
 
 def bootstrap_difference(

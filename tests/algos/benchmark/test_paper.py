@@ -26,9 +26,10 @@ from animarl_algos.benchmark.departures import (
 )
 from animarl_algos.benchmark.paper import LEARNERS, Record, Scope
 from animarl_algos.benchmark.paper_figures import PRETRAINED, compared_learners
-from animarl_algos.benchmark.paper_page import departures_page
+from animarl_algos.benchmark.paper_page import adapted_page, departures_page
 from animarl_algos.benchmark.paper_tables import (
     DEFAULT,
+    GAIN,
     Findings,
     kde_distance,
     kde_interval,
@@ -61,7 +62,8 @@ def test_paper_makes_every_table_and_figure_and_none_twice(first: Path) -> None:
     assert max(map(len, made.values())) < 200_000
     page = made["paper.md"].decode()
     assert "not made" not in page and "$" not in page and "nan" not in page
-    assert "90 updates at 1e-05 of silkmoths, by 0.0009 at most" in page
+    online = "1,675 × 1e-05 = 0.017 | 1,675 × 1e-07 = 0.00017"
+    assert f"| silkmoths | 90 × 1e-05 = 0.0009 | {online} |" in page
     assert "2 of 2 cells are there" in animarl("paper", *TRY, "--out", first)
     assert contents(first) == made
 
@@ -94,6 +96,27 @@ def test_departures_stand_beside_the_published_settings_and_the_default(tmp_path
         line = next(one for one in rows if f"| {departure} | 1 |" in one)
         shown = float(line.strip("| ").rpartition("| ")[2])
         assert shown == pytest.approx(own["value"].item(), rel=0.01)
+    clones = pd.read_csv(tmp_path / "results" / "paper" / "adapted.csv")
+    realism = clones[clones["measure"] == "realism"].set_index("steps")["value"]
+    gains = clones[clones["measure"] == GAIN].set_index("steps")["value"]
+    assert 0 not in gains.index and len(gains) == len(realism) - 1 > 0
+    assert gains.to_numpy() == pytest.approx(realism[gains.index] - realism[0], abs=1e-6)
+    assert page.count("Of 17 questions") == len(realism)
+
+
+def test_adapting_helps_where_the_interval_of_a_gain_excludes_zero() -> None:
+    lows = {"dqaas": 0.001, "dqdil-pt": -0.001, "dqcil-pt": -0.03}
+    table = pd.DataFrame({"learner": list(lows), "low": list(lows.values())})
+    table = table.assign(value=table["low"] + 0.01, high=table["low"] + 0.02, species="silkmoth")
+    table = table.assign(measure=GAIN, steps=5000, seeds=3, published="")
+    scope = SimpleNamespace(seeds=(0, 1, 2))
+    findings = SimpleNamespace(adapted=table, scope=scope, of=lambda *_: [])
+    sentence = adapted_page(cast(Findings, findings))["headline"]
+    assert "of silkmoths 1 of 3 adapted clones are clearly more real" in sentence
+    assert "1 clearly less (largest gain 0.011 [0.001, 0.021])" in sentence
+    assert "leaves that open" not in sentence
+    findings.adapted = table.assign(seeds=2)
+    assert "leaves that open" in adapted_page(cast(Findings, findings))["headline"]
 
 
 def test_shares_of_the_gap_that_departures_close() -> None:

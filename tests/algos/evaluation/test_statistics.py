@@ -19,6 +19,7 @@ from animarl_algos.evaluation.statistics import (
     energy_cells,
     energy_score,
     energy_scores,
+    mean_over_seeds,
     percentile_interval,
     pooled_score,
     share_margins,
@@ -158,6 +159,10 @@ def test_seeds_alone_get_students_t_of_their_means() -> None:
     found = bootstrap_mean(data, np.random.default_rng(6), 100)
     expected = stats.t.interval(0.95, 3, level.mean(), stats.sem(level))
     assert (found.low, found.high) == pytest.approx(expected)
+    alone = mean_over_seeds(level)
+    assert (alone.low, alone.high) == pytest.approx(expected)
+    one = mean_over_seeds(level[:1])
+    assert one.estimate == level[0] and math.isnan(one.low) and "one training seed" in one.reason
 
 
 def test_a_share_stays_between_none_and_all() -> None:
