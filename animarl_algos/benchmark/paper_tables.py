@@ -51,7 +51,8 @@ TRUTH, CLONE = "truth", "soft-bc"
 DEFAULT = "preset default"
 """DQDIL-PT as this project would train it, beside its departures from the published settings."""
 NO_WORLD = "–"
-REACHED, REALISM, GAIN = "reached", "realism", "realism above the clone"
+REACHED, REALISM = "reached", "realism"
+GAIN, REACHED_GAIN = "realism above the clone", "reached above the clone"
 SEED, RESAMPLES = 0, 1000
 DENSITY_POINTS, DENSITY_MARGIN = 512, 4.0  # of a grid, which reaches so many bandwidths further
 NARROWEST = 0.01  # no bandwidth is smaller than this share of the pooled range
@@ -353,23 +354,27 @@ class Findings:
     def adapted(self) -> pd.DataFrame:
         """Return realism, verdict, share reached and DTW distance of clones by steps online.
 
-        The gain is in realism, over the clone of the same training seed.
+        Gains are over the clone: in realism by training seed, in reaching the target by start.
         """
         rows = []
         settings = [s for s in dict.fromkeys(r[0].setting for r in self.records) if ADAPTED in s]
         for name, setting, learner in product(self.tests, settings, (CLONE, *LEARNERS)):
             if not (made := self.of(name, setting, learner)):
                 continue
-            own = self.rows(name, setting, learner)
+            own, clone = self.rows(name, setting, learner), (name, f"{ADAPTED}-0", CLONE)
             head: dict[str, Any] = {"species": name, "learner": learner, "seeds": len(made)}
             head["steps"] = int(setting.partition("-")[2])
             head["verdict"] = "; ".join(dict.fromkeys(one.about["verdict"] for one in made))
             intervals = self._likeness(name, own, made)
-            clones = self.of(name, f"{ADAPTED}-0", CLONE)
-            before = {one.about["seed"]: one.about["realism"] for one in clones}
+            before = {one.about["seed"]: one.about["realism"] for one in self.of(*clone)}
             pairs = [(one.about["realism"], before.get(one.about["seed"])) for one in made]
-            gains = [later - clone for later, clone in pairs if clone is not None]
+            gains = [later - first for later, first in pairs if first is not None]
             if head["steps"] and gains:
                 intervals[GAIN] = mean_over_seeds(np.array(gains))
+                its, theirs = (
+                    self.gather(one, name, "captured") for one in (own, self.rows(*clone))
+                )
+                draws = Draws.by(np.random.default_rng(SEED))
+                intervals[REACHED_GAIN] = bootstrap_difference(its, theirs, draws, share=True)
             rows += [row_of(value, **head, measure=key) for key, value in intervals.items()]
         return pd.DataFrame(rows, columns=COLUMNS)

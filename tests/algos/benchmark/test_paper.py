@@ -30,6 +30,7 @@ from animarl_algos.benchmark.paper_page import adapted_page, departures_page
 from animarl_algos.benchmark.paper_tables import (
     DEFAULT,
     GAIN,
+    REACHED_GAIN,
     Findings,
     kde_distance,
     kde_interval,
@@ -109,11 +110,13 @@ def test_adapting_helps_where_the_interval_of_a_gain_excludes_zero() -> None:
     table = pd.DataFrame({"learner": list(lows), "low": list(lows.values())})
     table = table.assign(value=table["low"] + 0.01, high=table["low"] + 0.02, species="silkmoth")
     table = table.assign(measure=GAIN, steps=5000, seeds=3, published="")
-    scope = SimpleNamespace(seeds=(0, 1, 2))
+    reached = table.assign(measure=REACHED_GAIN, low=0.1, value=0.2, high=0.3)
+    scope, table = SimpleNamespace(seeds=(0, 1, 2)), pd.concat([table, reached])
     findings = SimpleNamespace(adapted=table, scope=scope, of=lambda *_: [])
     sentence = adapted_page(cast(Findings, findings))["headline"]
-    assert "of silkmoths 1 of 3 adapted clones are clearly more real" in sentence
-    assert "1 clearly less (largest gain 0.011 [0.001, 0.021])" in sentence
+    words = "of 3 adapted clones lie clearly above the clone"
+    assert f"By realism 1 {words} (1 of silkmoths) and 1 below" in sentence
+    assert f"the target 3 {words} (3 of silkmoths) and 0 below" in sentence
     assert "leaves that open" not in sentence
     findings.adapted = table.assign(seeds=2)
     assert "leaves that open" in adapted_page(cast(Findings, findings))["headline"]
@@ -195,7 +198,7 @@ def test_species_without_conditions_have_a_page_too(tmp_path: Path) -> None:
         (["--species", "rat"], "--species rat: it is not in the paper: choose among agent, fly"),
         (["--only", "ppo"], "--only ppo: it is not in the paper"),
         (["--only", "dqcil", "--species", "fly"], "fly has one condition"),
-        (["--setting", "onset", "--hours", "0.1"], "--hours 0.1: the cells take about"),
+        (["--kept", "none", "--hours", "0.1"], "--hours 0.1: the cells take about"),
         (["--processes", "0"], "processes is 0"),
     ],
 )
