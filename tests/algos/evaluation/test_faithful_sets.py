@@ -27,6 +27,7 @@ NAMED = {one.name: one for one in SETS}
 TEST_TABLE = Path(__file__).parents[3] / "docs" / "results" / "test" / "faithful.csv"
 
 
+@pytest.mark.realdata
 @pytest.mark.parametrize("one", CROSSED, ids=[one.name for one in CROSSED])
 def test_every_episode_is_tested_once(one: DataSet, tmp_path: Path) -> None:
     demos = one.load(tmp_path)
