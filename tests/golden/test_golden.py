@@ -42,7 +42,11 @@ def test_golden_recipes(name: str) -> None:
     assert found["size"] == expected["size"]
     assert found["sum"] == pytest.approx(expected["sum"], rel=0.2)
     if same_processor("recipes"):
-        assert found == expected
+        # The last bits of a recurrent network differ between processors of one fingerprint.
+        differ = {"weights"} if "GruPolicy" in name else set()
+        assert [found[k] for k in expected if k not in differ] == [
+            expected[k] for k in expected if k not in differ
+        ]
 
 
 @pytest.mark.parametrize("name", names("runs"))
