@@ -210,10 +210,8 @@ def updates_page(findings: Findings) -> str:
             for learner in (SIMULATED.removesuffix("-pt"), SIMULATED)
         )
         batches = -(-int((demos.split == "train").sum()) // after.offline_batch_size)
-        offline, online = (
-            batches * after.offline_epochs,
-            PAPER_STEPS // get_species(name).time_limit,
-        )
+        offline = batches * after.offline_epochs
+        online = PAPER_STEPS // get_species(name).time_limit
         moves = (
             (offline, after.offline_learning_rate),
             (online, alone.learning_rate),

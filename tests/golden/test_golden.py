@@ -42,11 +42,9 @@ def test_golden_recipes(name: str) -> None:
     assert found["size"] == expected["size"]
     assert found["sum"] == pytest.approx(expected["sum"], rel=0.2)
     if same_processor("recipes"):
-        # The last bits of a recurrent network differ between processors of one fingerprint.
-        differ = {"weights"} if "GruPolicy" in name else set()
-        assert [found[k] for k in expected if k not in differ] == [
-            expected[k] for k in expected if k not in differ
-        ]
+        # Recurrent weights have other last bits on two processors of this fingerprint: one of each.
+        assert found["weights"] in expected["weights"]
+        assert found == expected | {"weights": found["weights"]}
 
 
 @pytest.mark.parametrize("name", names("runs"))
