@@ -46,7 +46,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.result import fit_locomotion
 from animarl_envs.species import get_species
 
-EARLIER = "earlier.csv"
 TRUTH, CLONE = "truth", "soft-bc"
 DEFAULT = "preset default"
 """DQDIL-PT as this project would train it, beside its departures from the published settings."""
@@ -131,14 +130,11 @@ def kde_interval(rows: pd.DataFrame, truth: pd.DataFrame, key: str) -> Interval:
 class Findings:
     """Records of a scope, and the tables that come from them.
 
-    ``records`` has each cell, its record if there is one, and whether that is a kept one. ``kept``
-    is the folder of kept records, whose ``earlier.csv`` has rows of Figure 4 that were made before
-    records were kept.
+    ``records`` has each cell, its record if there is one, and whether that is a kept one.
     """
 
     scope: Scope
     records: Sequence[tuple[PaperCell, Record | None, bool]]
-    kept: Path
 
     def of(self, species: str, setting: str, learner: str) -> list[Record]:
         """Return the records of all seeds."""
@@ -234,20 +230,7 @@ class Findings:
                 row_of(value, **head, measure=key, published=paper.get((name, learner, key), ""))
                 for key, value in intervals.items()
             ]
-        return self._with_earlier(pd.DataFrame(rows, columns=COLUMNS))
-
-    def _with_earlier(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Take earlier rows where they have more seeds."""
-        file = self.kept / EARLIER
-        if self.scope.quick or ONSET not in self.scope.settings or not file.exists():
-            return table
-        earlier = pd.read_csv(file).fillna({"published": "", "reason": ""})
-        chosen = earlier["species"].isin(self.scope.species)
-        chosen &= earlier["learner"].isin(self.scope.learners)
-        both = pd.concat([table, earlier[chosen]], ignore_index=True)
-        most = both.groupby(["species", "setting", "learner"])["seeds"].transform("max")
-        kept = both[both["seeds"] == most]
-        return kept.drop_duplicates(["species", "setting", "learner", "measure"])
+        return pd.DataFrame(rows, columns=COLUMNS)
 
     @cached_property
     def figure5(self) -> pd.DataFrame:

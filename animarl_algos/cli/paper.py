@@ -109,7 +109,7 @@ def paper_command(
         there = [(one, *one.find_record(out, kept)) for one in scope.cells]
     for piece, error in failed:
         console.print(f"\n{piece.name} failed: {error}")
-    findings = Findings(scope, there, kept)
+    findings = Findings(scope, there)
     written = write_page(findings, out)
     if docs is not None:
         write_page(findings, docs)

@@ -68,7 +68,7 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 750  # lines of a file: one class is in one file, however long
 BUDGETS = {
     "animarl_algos": 380,
-    "animarl_algos.benchmark": 23_290,
+    "animarl_algos.benchmark": 23_110,
     "animarl_algos.cli": 22_692,
     "animarl_algos.data": 8_641,
     "animarl_algos.evaluation": 42_721,
@@ -92,7 +92,7 @@ BUDGETS = {
     "animarl_envs.wrappers": 2_120,
 }
 """Most tokens of each folder, as ``tools.lines`` counts them; lower them as folders shrink."""
-ALL_TOKENS = 360_560
+ALL_TOKENS = 360_380
 """Most tokens of both packages; they are to be 215,000."""
 WEB_LINES = 3_138
 """Most lines of JavaScript, CSS and HTML in both packages; they are to be 2,100."""
