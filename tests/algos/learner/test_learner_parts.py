@@ -388,14 +388,14 @@ def test_a_stopped_phase_goes_on_exactly(policy: str, device: str, tmp_path: Pat
 
 
 def test_the_weights_of_the_best_epoch_are_kept_not_those_of_the_last() -> None:
-    settings = {"offline_learning_rate": 0.3, "gradient_steps": 1}
-    model = make_pair_learner("bc", offline_epochs=8, **settings)
+    epochs, settings = 16, {"offline_learning_rate": 1.0, "gradient_steps": 1}
+    model = make_pair_learner("bc", offline_epochs=epochs, **settings)
     history = model.pretrain().history
     earlier = 0
     for k, who in enumerate(model.layout.individuals):
         figures = [row[f"val/{model.recipe.selection}/{who}"] for row in history]
-        best = 8 - int(np.argmin(figures[::-1]))  # of equals the later
-        earlier += best < 8
+        best = epochs - int(np.argmin(figures[::-1]))  # of equals the later
+        earlier += best < epochs
         shorter = make_pair_learner("bc", offline_epochs=best, **settings)
         shorter.pretrain()
         for kept, last in zip(
