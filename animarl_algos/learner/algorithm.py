@@ -609,8 +609,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
         self._set_exploration()
         if self.schedule.is_target_due(self.target_update, steps, episodes):
-            online, target = self.q_net, self.q_net_target
-            polyak_update(online.parameters(), target.parameters(), self.tau)
+            polyak_update(self.q_net.parameters(), self.q_net_target.parameters(), self.tau)
 
     def _set_exploration(self) -> None:
         """Set epsilon as it is due after the steps done; a policy that samples has none."""
@@ -658,7 +657,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
                 buffer.update_priorities(batch.indices, priorities)
             if (logits := minibatch.treatment_logits) is not None:
                 counts = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
-                self.treatment_counts = self.treatment_counts + counts
+                self.treatment_counts += counts
             self.logger.record_mean("train/loss", minibatch.total)
             for name, loss in losses.items():
                 for individual, value in zip(self.layout.individuals, loss.tolist()):

@@ -12,6 +12,7 @@ from stable_baselines3.common.utils import should_collect_more_steps
 from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
 from animarl_algos.losses.values import (
     clip_grad_norm_per_individual,
+    denormals_as_zero,
     share_gradients,
 )
 from animarl_algos.networks.layers import DropoutDraws, Packing
@@ -82,6 +83,7 @@ class UpdateSchedule:
 # -- one update -----------------------------------------------------------------------------------
 
 
+@denormals_as_zero()
 def minibatch_values(
     policy: GruPolicy,
     batch: SequenceBatch,
@@ -146,6 +148,7 @@ def minibatch_values(
     )
 
 
+@denormals_as_zero()
 def update(
     minibatch: MinibatchValues,
     terms: Sequence[LossTerm],

@@ -237,17 +237,16 @@ class ActionSupervision(LossTerm):
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         """Return the loss of each individual, ``(K,)``."""
-        batch, logits, valid = minibatch.batch, minibatch.q_values, minibatch.valid
-        if self.soft and batch.label_shares is not None:
-            shares = batch.label_shares  # steps with zeros alone are left out
-            per_step = -(shares * functional.log_softmax(logits, dim=-1)).sum(-1)
-            return masked_mean(per_step, valid & (shares.sum(-1) > 0), batch.weights)
-        labels = batch.labels
+        batch, target = minibatch.batch, minibatch.batch.label_shares if self.soft else None
+        if target is None:
+            target, labelled = batch.labels, batch.labels != NO_LABEL
+        else:
+            labelled = target.sum(-1) > 0  # steps with zeros alone are left out
+        labelled = minibatch.valid & labelled
         per_step = functional.cross_entropy(
-            logits.flatten(0, 2), labels.clamp(min=0).flatten(), reduction="none"
+            minibatch.q_values[labelled], target[labelled], reduction="none"
         )
-        labelled = valid & (labels != NO_LABEL)
-        return masked_mean(per_step.view(labels.shape), labelled, batch.weights)
+        return masked_mean(_padded(per_step, labelled), labelled, batch.weights)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ burnt-in and warm-up steps, and maybe ``weights`` ``(K, B)``, importance-samplin
 return ``(K,)``, 0 for an individual without valid steps.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -137,6 +138,20 @@ class ValueDistribution:
             return error.square(), error.detach().abs()
         loss = functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
         return loss, error.detach().abs()
+
+
+@contextmanager
+def denormals_as_zero() -> Iterator[None]:
+    """Take numbers nearer to zero than 1e-38 for zero meanwhile, in this thread.
+
+    Gradients through many steps have many such, and a processor multiplies them far more slowly.
+    """
+    already = not (torch.full((1,), 1e-39) * 1.0).item()
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(already)
 
 
 def masked_mean(
