@@ -74,13 +74,10 @@ def test_the_target_is_due_in_its_own_unit_and_the_rest_is_carried() -> None:
     assert [b for _, b in due] == [False, True] * 3
 
 
-def test_each_step_is_taken_with_the_epsilon_that_is_due_before_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Not with that of the step before: the schedule says how many steps are done."""
-    model = DQN(
-        "MlpPolicy", toys.Pair(2), **SETTINGS | {"exploration_steps": 100}, learning_starts=0
-    )
+def test_each_step_has_the_epsilon_that_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not that of the step before: the schedule says how many steps are done."""
+    settings = SETTINGS | {"exploration_steps": 100}
+    model = DQN("MlpPolicy", toys.Pair(2), **settings, learning_starts=0)
     used, choose = [], model.policy.choose
 
     def watched(q_values: Any, deterministic: bool) -> Any:
@@ -95,9 +92,7 @@ def test_each_step_is_taken_with_the_epsilon_that_is_due_before_it(
     assert epsilons == pytest.approx([max(0.3, 0.5 - 0.2 * step / 100) for step in steps])
 
 
-def test_losses_are_averaged_over_the_updates_since_the_last_log(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_losses_are_means_since_the_last_log(monkeypatch: pytest.MonkeyPatch) -> None:
     model, made = make_pair_learner("dqdil", updates_per_episode=0.0).learn(200), []
     update, logged = algorithm.update, model.logger.name_to_value
 
@@ -116,6 +111,16 @@ def test_losses_are_averaged_over_the_updates_since_the_last_log(
         assert len(losses) == 4 and means == pytest.approx(losses.mean(0).tolist())
     model.dump_logs()
     assert not logged
+
+
+def test_denormals_are_zero_in_an_update_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = make_pair_learner("dqdil", updates_per_episode=0.0).learn(200)
+    small, inside, optimizer = torch.full((1,), 1e-39), [], model.policy.optimizer
+    monkeypatch.setattr(optimizer, "step", lambda: inside.append((small * 1.0).item()))
+    for before in (True, False):
+        torch.set_flush_denormal(before)
+        model.train(1, 4)
+        assert inside.pop() == 0.0 and ((small * 1.0).item() == 0.0) is before
 
 
 def test_updates_before_learning_starts_are_forfeited() -> None:

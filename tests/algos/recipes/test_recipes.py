@@ -157,9 +157,7 @@ def test_the_logged_balanced_accuracy_is_of_all_updates_since_the_last_log() -> 
     assert Seen.figures and all(0.0 <= figure <= 1.0 for figure in Seen.figures)
 
 
-def test_a_ctrl_c_in_the_random_steps_keeps_the_temperature(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_ctrl_c_in_random_steps_keeps_the_temperature(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: Any) -> Any:
         raise KeyboardInterrupt
 

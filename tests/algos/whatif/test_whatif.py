@@ -370,9 +370,7 @@ def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: 
         ask([Untold()], ["condition=shared"], repetitions=1)  # type: ignore[list-item]
 
 
-def test_the_gap_looks_at_the_simulation_as_far_as_its_recording_goes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_gap_ends_where_the_recording_does(monkeypatch: pytest.MonkeyPatch) -> None:
     run = load_run("agent")
     monkeypatch.setitem(run.__dict__, "demos", cut_short(run.demos, 6))
     unchanged: list[pd.DataFrame] = []
@@ -385,9 +383,7 @@ def test_the_gap_looks_at_the_simulation_as_far_as_its_recording_goes(
     assert "Some recordings were cut" in words(found)
 
 
-def test_what_one_test_start_or_one_condition_cannot_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_one_start_or_condition_cannot_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     run = load_run("agent")
     train, test = (np.flatnonzero(run.demos.split == split) for split in ("train", "test"))
     shared = test[run.demos.condition[test] == 1]
