@@ -114,15 +114,15 @@ def kde_interval(rows: pd.DataFrame, truth: pd.DataFrame, key: str) -> Interval:
         rng.multinomial(number, np.full(number, 1 / number), RESAMPLES)
         for number in (len(known), rows["seed"].nunique())
     )
-    found, drawn = [], []
+    estimates, drawn = [], []
     for _, own in rows.groupby("seed"):
         values = own[key].to_numpy(float)
         (one, other), step = densities([values, known])
         weights = of_demos[:, own["demo"].to_numpy()]
         simulated = weights @ one / weights.sum(1, keepdims=True)
         drawn.append(np.abs(simulated - of_demos @ other / len(known)).sum(1) * step)
-        found.append(kde_distance(values, known))
-    return percentile_interval(float(np.mean(found)), np.average(drawn, 0, of_seeds.T))
+        estimates.append(kde_distance(values, known))
+    return percentile_interval(float(np.mean(estimates)), np.average(drawn, 0, of_seeds.T))
 
 
 # -- what was found --------------------------------------------------------------------------------
