@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 PLURALS = {"agent": "agents", "fly": "flies", "newt": "newts", "silkmoth": "silkmoths"}
 PRETRAINED = {"agent": True, "silkmoth": False}  # of Figure 5; Text S1 has the others
 PANEL = (3.4, 2.6)  # [inch]
-MOST_DOTS, MOST_POINTS = 150, 150  # of a violin and of a path
+MOST_DOTS, MOST_POINTS = 100, 150  # of a violin and of a path
 Groups = Mapping[str, tuple[pd.DataFrame, str]]
 
 
