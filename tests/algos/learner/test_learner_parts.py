@@ -114,13 +114,13 @@ def test_losses_are_means_since_the_last_log(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_denormals_are_zero_in_an_update_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     model = make_pair_learner("dqdil", updates_per_episode=0.0).learn(200)
-    small, seen, policy = torch.full((1,), 1e-39), [], model.policy
-    monkeypatch.setattr(policy.optimizer, "step", lambda: seen.append((small * 1.0).item()))
-    policy.q_net.register_forward_pre_hook(lambda *_: policy.optimizer.step())
-    for before in (True, False):
+    small, seen = torch.full((1,), 1e-39), []
+    monkeypatch.setattr(model.policy.optimizer, "step", lambda: seen.append((small * 1.0).item()))
+    model.policy.q_net.register_forward_pre_hook(lambda *_: seen.append((small * 1.0).item()))
+    for before, times in ((True, 2), (False, 4)):  # the forward pass and the step
         torch.set_flush_denormal(before)
         model.train(1, 4)
-        assert len(seen) > 1 and not any(seen) and ((small * 1.0).item() == 0.0) is before
+        assert seen == [0.0] * times and ((small * 1.0).item() == 0.0) is before
 
 
 def test_updates_before_learning_starts_are_forfeited() -> None:
